@@ -1,0 +1,125 @@
+"""diffeed: a differentiable simulator of paper and film feeding.
+
+Units: mm, s, kg, N, N/mm2, rad/s; degrees for angles in scenes. Importing this changes no JAX setting: turn on float64
+yourself (`jax.config.update("jax_enable_x64", True)`) for results that can be trusted to more than three digits.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from diffeed import measures
+    from diffeed.check_records import SceneError
+    from diffeed.check_records import make_scene as scene
+    from diffeed.examine import check
+    from diffeed.observe import OBSERVERS
+    from diffeed.parts import (
+        ArcGuide,
+        CircleGuide,
+        Clamp,
+        Contact,
+        FixedRoller,
+        LineGuide,
+        Load,
+        Motion,
+        MovableRoller,
+        Profile,
+        Scene,
+        Sensor,
+        Sheet,
+        SinglePrecision,
+    )
+    from diffeed.paths import get, numbers, put
+    from diffeed.rollout import simulate
+    from diffeed.scene_file import load_scene, save_scene, shipped_scenes
+    from diffeed.stacking import stack
+    from diffeed.state import State
+    from diffeed.statics import Linearisation, linearise, settle
+    from diffeed.steppers import METHODS
+    from diffeed.trajectory import Trajectory
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "METHODS",
+    "OBSERVERS",
+    "ArcGuide",
+    "CircleGuide",
+    "Clamp",
+    "Contact",
+    "FixedRoller",
+    "LineGuide",
+    "Linearisation",
+    "Load",
+    "Motion",
+    "MovableRoller",
+    "Profile",
+    "Scene",
+    "SceneError",
+    "Sensor",
+    "Sheet",
+    "SinglePrecision",
+    "State",
+    "Trajectory",
+    "check",
+    "get",
+    "linearise",
+    "load_scene",
+    "measures",
+    "numbers",
+    "put",
+    "save_scene",
+    "scene",
+    "settle",
+    "shipped_scenes",
+    "simulate",
+    "stack",
+]
+
+_MODULES = {
+    "check_records": ("SceneError",),
+    "examine": ("check",),
+    "observe": ("OBSERVERS",),
+    "parts": (
+        "ArcGuide",
+        "CircleGuide",
+        "Clamp",
+        "Contact",
+        "FixedRoller",
+        "LineGuide",
+        "Load",
+        "Motion",
+        "MovableRoller",
+        "Profile",
+        "Scene",
+        "Sensor",
+        "Sheet",
+        "SinglePrecision",
+    ),
+    "paths": ("get", "numbers", "put"),
+    "rollout": ("simulate",),
+    "scene_file": ("load_scene", "save_scene", "shipped_scenes"),
+    "stacking": ("stack",),
+    "state": ("State",),
+    "statics": ("Linearisation", "linearise", "settle"),
+    "steppers": ("METHODS",),
+    "trajectory": ("Trajectory",),
+}
+_HOMES = {name: (module, name) for module, names in _MODULES.items() for name in names}
+_HOMES["scene"] = ("check_records", "make_scene")
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first used: JAX takes most of a second, and a help text needs none of it."""
+    if name in ("measures", "plot", "player"):
+        return import_module(f"diffeed.{name}")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'diffeed' has no attribute {name!r}")
+    module, attribute = _HOMES[name]
+    value = getattr(import_module(f"diffeed.{module}"), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

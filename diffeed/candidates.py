@@ -1,0 +1,127 @@
+"""Which pairs can touch soon: the nearest bodies of every feature, searched once per block of steps.
+
+Contact forces have compact support, so leaving out pairs that are further apart than they can close is exact. The search
+is a full sweep of gaps; it keeps a fixed number of bodies per feature (`slots`). Two things would make it wrong, and both
+are told as data: more bodies within reach than slots, and a sheet that moved further than the reach (`check_reach`).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from diffeed.bodies import bodies, spins
+from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near
+from diffeed.kinematics import node_velocities, nodes, pose
+from diffeed.model import Model, Path
+from diffeed.state import State
+
+MOST_SLOTS = 12
+REACH = 0.5
+"""mm that everything may move beyond what its present speed explains."""
+MARGIN = 2.0
+"""Times the distance that the present speed covers until the next search."""
+
+
+SIZE = 100.0
+"""mm from its pivot to the far end of a swinging guide; larger ones are caught by the margin."""
+
+
+class Slots(NamedTuple):
+    """Bodies kept per feature and family; None: the family is small enough to be kept whole."""
+
+    circles: int | None
+    lines: int | None
+    arcs: int | None
+
+    @property
+    def any(self) -> bool:
+        return any(n is not None for n in self)
+
+
+def slots(model: Model) -> Slots:
+    """Static choice from counts: more bodies per bar need more slots."""
+
+    def choose(count: int) -> int | None:
+        wanted = min(MOST_SLOTS, 4 + -(-2 * count // model.layout.n_bars))
+        return wanted if count > wanted else None
+
+    return Slots(choose(len(model.circle_names)), choose(len(model.lines.names)), choose(len(model.arcs.names)))
+
+
+class Candidates(NamedTuple):
+    """Kept bodies, what they were chosen for, and whether all that are within reach found a slot."""
+
+    kept: Kept
+    reach: Array  # mm
+    x: Array  # node positions at the search
+    y: Array
+    travel: Array
+    complete: Array  # bool
+
+
+def search(model: Model, state: State, span: Array) -> Candidates:
+    """Candidates for the next `span` seconds."""
+    at = pose(model, state)
+    x, y = nodes(model, at)
+    size = slots(model)
+    if not model.has_bodies or not size.any:
+        always = jnp.ones((), bool)
+        return Candidates(keep_all(model), jnp.full((), jnp.inf), x, y, state.travel, always)
+    world, row, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
+    reach = REACH + MARGIN * span * _fastest(model, state)
+    found, complete = [], []
+    families = [
+        (circles_near, (model, row, world, whole)),
+        (lines_near, (row, world, whole)),
+        (arcs_near, (row, world, whole)),
+    ]
+    depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
+    for (near, given), depth, count in zip(families, depths, size, strict=True):
+        index, fits = (
+            (None, jnp.ones((), bool)) if count is None else _nearest(near(*given), depth, count, reach, model)
+        )
+        found.append(index)
+        complete.append(fits)
+    return Candidates(keep(model, *found), reach, x, y, state.travel, complete[0] & complete[1] & complete[2])
+
+
+def _nearest(near: Closest, depth: Array | None, count: int, reach: Array, model: Model) -> tuple[Array, Array]:
+    """(slots, features) indices of the nearest bodies, and whether all within reach are among them."""
+    gap = near.gap
+    if depth is None:
+        gap = jnp.where(model.circles.active[:, None] > 0, gap, jnp.inf)
+    else:
+        # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
+        gap = gap - jnp.where(near.weight > 0, 0.0, depth[:, None])
+    _, index = lax.top_k(-lax.stop_gradient(gap).T, count)
+    return index.T, jnp.all(jnp.sum(gap < reach, axis=0) <= count)
+
+
+def _fastest(model: Model, state: State) -> Array:
+    """Largest speed of any node, pinch, roller surface (it can set the sheet going) or guide's path, mm/s."""
+    vx, vy = node_velocities(model, pose(model, state))
+    speeds = [jnp.max(jnp.abs(vx) + jnp.abs(vy)), jnp.max(jnp.abs(state.travel_rate), initial=0.0)]
+    surface = jnp.abs(spins(model, state, state.time) * model.rollers.radius)
+    speeds.append(jnp.max(surface, initial=0.0))
+    for path in model.paths.values():
+        speeds.append(_path_speed(path))
+    return lax.stop_gradient(sum(speeds[1:], speeds[0]))
+
+
+def _path_speed(path: Path) -> Array:
+    """A bound on the speed of a moving guide: shift, and turn about its pivot at up to `SIZE` mm."""
+    span = jnp.diff(path.times)
+    rate = [
+        jnp.max(jnp.abs(jnp.diff(v)) / jnp.where(span > 0, span, jnp.inf), initial=0.0)
+        for v in (path.x, path.y, path.angle)
+    ]
+    return rate[0] + rate[1] + SIZE * rate[2]
+
+
+def check_reach(model: Model, found: Candidates, after: State) -> Array:
+    """Whether the candidates were good until `after`: nothing moved further than the search reached."""
+    x, y = nodes(model, pose(model, after))
+    moved = jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y))
+    moved = moved + jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
+    return found.complete & ~(moved > found.reach)

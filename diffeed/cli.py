@@ -1,0 +1,354 @@
+"""The command `diffeed`. Heavy imports stay inside the commands: a help text must come at once."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+import diffeed
+from diffeed import tuning
+
+if TYPE_CHECKING:
+    from diffeed.parts import Scene
+    from diffeed.trajectory import Trajectory
+
+T = TypeVar("T")
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+class Refusal(click.ClickException):
+    """Nothing was run or written: the reason, and status 2."""
+
+    exit_code = 2
+
+    def show(self, file: Any = None) -> None:
+        click.echo(self.message, err=True)
+
+
+@dataclass(frozen=True)
+class Request:
+    """The arguments of `diffeed run`."""
+
+    scene: str
+    dt: float
+    duration: float | None
+    method: str | None
+    frames: int
+    out: Path | None
+    assignments: tuple[str, ...]
+    force: bool
+    float32: bool
+
+
+@dataclass
+class Progress:
+    """A run so far; `stopped` by Ctrl-C."""
+
+    pieces: list["Trajectory"] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    stopped: bool = False
+
+
+SCENE = click.argument("scene")
+SET = click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Change a value of the scene, e.g. rollers.drive_1.radius=10.2 or guides.turn.center[1]=80. Repeatable.",
+)
+METHOD = click.option("--method", help="Time stepper; a wrong name lists them. Default: the robust implicit one.")
+
+
+@click.group(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed scenes
+  diffeed run film_feeder --out results
+  diffeed COMMAND --help
+""",
+)
+@click.version_option(diffeed.__version__, prog_name="diffeed")
+def main() -> None:
+    """Simulate how a sheet of paper or film runs through rollers and guides."""
+
+
+@main.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed run film_feeder
+  diffeed run film_feeder --out results --set rollers.drive_1.radius=10.2
+  diffeed run my_machine.toml --duration 0.5 --dt 5e-5 --out fine --force
+\b
+Exit status: 0 the run was computed (passed, late or jammed: see the first line),
+1 the computation failed, 2 nothing was run or the files could not be written,
+130 stopped by Ctrl-C.
+""",
+)
+@SCENE
+@click.option("--dt", type=float, default=1e-4, show_default=True, help="Longest time step, s.")
+@click.option("--duration", type=float, help="Length of the run, s; default: the scene's own.")
+@METHOD
+@click.option(
+    "--frames", type=click.IntRange(min=2), default=101, show_default=True, help="Moments kept, evenly spaced."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Write pictures, an animation (player.html), data.npz, scene.toml and summary.json into FOLDER.",
+)
+@SET
+@click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
+@click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
+def run(**arguments: Any) -> None:
+    """Run SCENE, a shipped scene's name (see `diffeed scenes`) or a TOML file, and report how the sheet ran."""
+    with _stoppable():
+        status = _run(Request(**arguments))
+    sys.exit(status)
+
+
+@main.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed check my_machine.toml
+  diffeed check film_feeder --dt 1e-5 --method runge_kutta
+\b
+Exit status: 0 sound, 2 something is wrong.
+""",
+)
+@SCENE
+@click.option("--dt", type=float, help="Also judge this time step, s.")
+@METHOD
+@SET
+def check(scene: str, dt: float | None, method: str | None, assignments: tuple[str, ...]) -> None:
+    """Say everything that is wrong with SCENE, or "sound"."""
+    with _stoppable():
+        _set_up(float32=False)
+        _load_sound(scene, assignments, {}, dt, method)
+    click.echo("sound")
+
+
+@main.command(context_settings=SETTINGS)
+def scenes() -> None:
+    """List the scenes that come with diffeed."""
+    for name, purpose in diffeed.shipped_scenes().items():
+        click.echo(f"{name}\n{click.wrap_text(purpose, width=78, initial_indent='  ', subsequent_indent='  ')}")
+
+
+def _run(ask: Request) -> int:
+    from diffeed.outputs import OutputError, draft_of, refuse_overwriting
+
+    with _refusing(OutputError):
+        if ask.out and not ask.force:
+            refuse_overwriting(ask.out)
+        begun = time.perf_counter()
+        _set_up(ask.float32)
+        _say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
+        changes = {} if ask.duration is None else {"duration": ask.duration}
+        scene = _load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method)
+        with draft_of(ask.out) if ask.out else nullcontext() as draft:
+            progress = _simulate(ask, scene, begun)
+            return _finish(ask, scene, progress, draft)
+
+
+def _set_up(float32: bool) -> None:
+    """Settings of this process, before anything is compiled."""
+    import jax
+
+    jax.config.update("jax_enable_x64", not float32)
+    tuning.compile_quickly(True)
+    if problem := tuning.keep_compilations():
+        _say(problem)
+
+
+def _load_sound(
+    where: str, assignments: tuple[str, ...], changes: dict[str, Any], dt: float | None, method: str | None
+) -> "Scene":
+    from diffeed.check_records import SceneError, checked
+    from diffeed.paths import PathError, parse_assignment, put
+    from diffeed.records import replace
+
+    with _refusing(SceneError, PathError):
+        scene = diffeed.load_scene(where)
+        for text in assignments:
+            scene = put(scene, *parse_assignment(text))
+        scene = replace(scene, **changes)
+        problems = _patiently(lambda: diffeed.check(scene, dt, method))
+        if problems:
+            raise SceneError(problems, where)
+        return checked(scene)
+
+
+def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
+    """Piece after piece, until the end, the first failure or Ctrl-C."""
+    from diffeed.pieces import run_in_pieces
+    from diffeed.report import OBSERVE
+    from diffeed.rollout import plan
+    from diffeed.steppers import DEFAULT
+
+    tuning.compile_quickly(plan(scene.duration, ask.dt, ask.frames).total <= tuning.LONG)
+    pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE)
+    progress = Progress(seconds=[begun])
+    try:
+        with _bar(scene.duration) as show:
+            while (piece := _patiently(lambda: next(pieces, None))) is not None:
+                progress.pieces.append(piece)
+                progress.seconds.append(time.perf_counter())
+                show(float(piece.time[-1]))
+    except KeyboardInterrupt:
+        if not progress.pieces:
+            raise
+        progress.stopped = True
+    tuning.compile_quickly(True)
+    return progress
+
+
+def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None) -> int:
+    """Report and write what there is; the exit status."""
+    from diffeed.outputs import write_files
+    from diffeed.pieces import cut_at_failure
+    from diffeed.report import print_report, summarise
+    from diffeed.trajectory import join
+
+    trajectory = cut_at_failure(join(progress.pieces))
+    summary = summarise(scene, trajectory) | _circumstances(ask, scene, trajectory, progress)
+    if progress.stopped:
+        reason = "stopped by Ctrl-C before the end of the run"
+        summary["verdict"] = {
+            "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
+        }  # fmt: skip
+    print_report(_console(), summary)
+    if not trajectory.ok:
+        _say(f"The run failed {trajectory.failure.describe()}.\n{_hint(ask, int(trajectory.failure.cause))}")
+    if ask.out and draft:
+        names = write_files(draft, ask.out, scene, trajectory, summary)
+        click.echo(f"written to {ask.out}: {', '.join(names)}")
+    if progress.stopped:
+        _leave_at_once(130)
+    return 0 if trajectory.ok else 1
+
+
+def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> dict[str, Any]:
+    """What was run, with what, and how long it took."""
+    import platform
+
+    import jax
+    import numpy
+
+    from diffeed.steppers import DEFAULT
+
+    settings = asdict(ask) | {"out": None if ask.out is None else str(ask.out)}
+    simulated, dt = float(trajectory.time[-1]), float(trajectory.dt)
+    first, *rest = progress.seconds[1:]
+    took = {
+        "scene": ask.scene,
+        "simulated": simulated,
+        "duration": scene.duration,
+        "dt": dt,
+        "steps": round(simulated / dt),
+        "method": ask.method or DEFAULT,
+        "precision": "float32" if ask.float32 else "float64",
+        "compile_seconds": first - progress.seconds[0],
+        "run_seconds": rest[-1] - first if rest else 0.0,
+    }
+    versions = {"diffeed": diffeed.__version__, "jax": jax.__version__, "numpy": numpy.__version__}
+    return {"run": took, "settings": settings, "versions": versions | {"python": platform.python_version()}}
+
+
+def _hint(ask: Request, cause: int) -> str:
+    from diffeed.steppers import DEFAULT
+    from diffeed.trajectory import TOO_DEEP
+
+    other = f", or --method {DEFAULT}" if ask.method not in (None, DEFAULT) else ""
+    hint = f"Try a smaller time step (--dt {ask.dt / 4:g}){other}."
+    if cause == TOO_DEEP:
+        hint += " If it fails at the same place, the sheet is driven into that part: look at its place and stiffness."
+    return hint
+
+
+@contextmanager
+def _bar(duration: float) -> Iterator[Callable[[float], None]]:
+    """A progress bar on the simulated time, in a terminal only."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.fields[done]}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    console = _console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=duration, done="compiling", start=False)
+
+        def show(seconds: float) -> None:
+            bar.start_task(task)
+            bar.update(task, completed=seconds, done=f"{seconds:.4g} of {duration:.4g} s")
+
+        yield show
+
+
+def _console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+@contextmanager
+def _refusing(*kinds: type[Exception]) -> Iterator[None]:
+    """These errors are the user's to mend: their text, no traceback."""
+    try:
+        yield
+    except kinds as error:
+        raise Refusal(str(error)) from error
+
+
+def _patiently(function: Callable[[], T]) -> T:
+    """Call in a thread of its own, so that Ctrl-C is answered while a program compiles."""
+    results: list[T] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            results.append(function())
+        except BaseException as error:
+            errors.append(error)
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    while worker.is_alive():
+        worker.join(0.5)
+    if errors:
+        raise errors[0]
+    return results[0]
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Ctrl-C ends the command where it stands."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _say("stopped by Ctrl-C; nothing was written")
+        _leave_at_once(130)
+
+
+def _leave_at_once(status: int) -> None:
+    """Leave without waiting for a step or a compilation that still runs in its thread."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""The contact law of one pair: penetration and speeds in, forces and their slopes out. No geometry, no sums.
+
+Source: the power law with indentation damping, clipped at zero (source paper, eq. 6, with the sign and the clip that
+keep it from pulling), and friction mu(v) f_n (eq. 7) regularised over a stick speed.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.records import record, word
+from diffeed.smooth import power, powers, ramp
+
+
+@record
+class Surface:
+    """Contact properties, one entry per body or pair. Forces in kg mm/s2."""
+
+    friction: Any
+    stiffness: Any
+    exponent: Any
+    damping: Any
+    damping_exponent: Any
+    smoothing: Any
+    stick_speed: Any
+    static_excess: Any  # static over dynamic friction, minus 1; None: every set has one coefficient
+    transition_speed: Any
+    tanh: Any  # bool per entry, or None when all follow the square-root law
+    names: tuple[str, ...] = word(default=(), doc="name of the part behind each entry", type=tuple)
+
+    def column(self) -> "Surface":
+        """Entries (n,) -> (n, 1), to meet bars or nodes."""
+        return jax.tree.map(lambda v: v[:, None], self)
+
+
+class Touch(NamedTuple):
+    """Forces of the law at the present state and their slopes."""
+
+    force: Array  # F >= 0, kg mm/s2
+    stiffness: Array  # K = max(0, dF/dd), kg/s2
+    damping: Array  # C = dF/dd', kg/s
+    friction: Array  # mu F phi(v_t), kg mm/s2: opposes v_t
+    secant: Array  # mu F phi(v_t)/v_t, kg/s
+
+
+def contact_law(surface: Surface, penetration: Array, v_n: Array, v_t: Array, friction_factor: Array | float) -> Touch:
+    """The law for pairs with `penetration` (mm), separation speed `v_n` (mm/s) and sliding speed `v_t` (mm/s).
+
+    F = max(0, k D(d)^m + c D(d)^n d') with d' = -v_n. Where the clip acts, K and C are zero too. For n > m, dF/dd can
+    turn negative: K keeps its positive part so that the step's matrix stays positive.
+    """
+    depth, slope = ramp(penetration, surface.smoothing)
+    touching = depth > 0
+    elastic_power, damping_power = powers(depth, (surface.exponent, surface.damping_exponent))
+    elastic, damping = surface.stiffness * elastic_power, surface.damping * damping_power
+    raw = elastic - damping * v_n
+    pushing = touching & (raw > 0)
+    per_depth = slope / jnp.where(touching, depth, 1.0)
+    tangent = (elastic * surface.exponent - damping * surface.damping_exponent * v_n) * per_depth
+    force = jnp.where(pushing, raw, 0.0)
+    stiffness = jnp.where(pushing, jnp.maximum(tangent, 0.0), 0.0)
+    secant = friction_factor * force * friction_secant(surface, v_t)
+    return Touch(force, stiffness, jnp.where(pushing, damping, 0.0), secant * v_t, secant)
+
+
+def friction_secant(surface: Surface, v_t: Array) -> Array:
+    """mu(v) phi(v)/v in s/mm: phi = v/sqrt(v^2 + vs^2), or tanh(v/vs) where the set asks for it.
+
+    mu(v) falls from the static to the dynamic value as 1/(1 + (v/transition_speed)^2).
+    """
+    secant = 1.0 / jnp.sqrt(v_t * v_t + surface.stick_speed**2)
+    if surface.tanh is not None:
+        small = jnp.abs(v_t) < 1e-6 * surface.stick_speed
+        safe = jnp.where(small, surface.stick_speed, v_t)
+        curved = jnp.where(small, 1.0 / surface.stick_speed, jnp.tanh(safe / surface.stick_speed) / safe)
+        secant = jnp.where(surface.tanh, curved, secant)
+    secant = surface.friction * secant
+    if surface.static_excess is not None:
+        secant = secant * (1.0 + surface.static_excess / (1.0 + (v_t / surface.transition_speed) ** 2))
+    return secant
+
+
+def elastic_force(surface: Surface, penetration: Array) -> Array:
+    """Force of the spring of a contact alone, kg mm/s2."""
+    depth, _ = ramp(penetration, surface.smoothing)
+    return surface.stiffness * power(depth, surface.exponent)
+
+
+def elastic_energy(surface: Surface, penetration: Array) -> Array:
+    """Energy stored in the spring of a contact, kg mm2/s2: k D^(m+1)/(m+1) of the ramp, by its exact integral.
+
+    For the linear ramp beyond the smoothing length; inside it D = d^2/(2 s) gives the integral k D^m d/(2 m + 1).
+    """
+    depth, _ = ramp(penetration, surface.smoothing)
+    m, s = surface.exponent, surface.smoothing
+    rounded = surface.stiffness * power(depth, m) * penetration / (2.0 * m + 1.0)
+    corner = surface.stiffness * power(0.5 * s, m) * s / (2.0 * m + 1.0)
+    shift = surface.stiffness * power(0.5 * s, m) * 0.5 * s / (m + 1.0)
+    straight = corner + surface.stiffness * power(depth, m) * depth / (m + 1.0) - shift
+    return jnp.where(penetration < s, jnp.where(penetration > 0, rounded, 0.0), straight)

@@ -1,0 +1,107 @@
+"""Energies and powers of a state, in N mm and N mm/s."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.bodies import Bodies
+from diffeed.contact import Pairs, RollerPairs
+from diffeed.contact_law import Surface, elastic_energy, elastic_force
+from diffeed.forces import Contacts, hold_target
+from diffeed.kinematics import Pose
+from diffeed.model import NEWTON, Model
+from diffeed.state import State
+
+
+class Energies(NamedTuple):
+    """Stored energies, N mm."""
+
+    kinetic: Array
+    bending: Array
+    gravity: Array
+    contact: Array
+    springs: Array  # of movable rollers, preload and stops included
+
+
+class Powers(NamedTuple):
+    """Work and losses; as powers N mm/s, integrated over time N mm."""
+
+    drives: Array  # work of driven shafts
+    friction: Array  # loss in sliding contacts
+    contact: Array  # loss in contact damping
+    joints: Array  # loss in joint dampers
+    rollers: Array  # loss in roller dampers and bearings
+
+
+def energies(model: Model, state: State, at: Pose, touching: Contacts) -> Energies:
+    """Energies of a state. Driven rollers carry no kinetic energy of their own: their spin is given."""
+    bars, r = model.bars, model.rollers
+    moving = 0.5 * jnp.sum(bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2)
+    moving = moving + 0.5 * jnp.sum(r.mass * state.travel_rate**2) + 0.5 * jnp.sum(r.inertia * state.spin**2)
+    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
+    bending = 0.5 * jnp.sum(bars.joint_stiffness * bend**2)
+    for hold in model.holds:
+        if hold.wall:
+            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
+            bending = bending + model.wall_stiffness[hold.bar] * turn**2
+    height = -jnp.sum(bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y))
+    height = height - jnp.sum(r.mass * state.travel * (model.gravity[0] * r.dir_x + model.gravity[1] * r.dir_y))
+    over = jnp.maximum(state.travel - r.stop_high, 0.0) + jnp.maximum(r.stop_low - state.travel, 0.0)
+    springs = jnp.sum(r.preload * state.travel + 0.5 * r.spring * state.travel**2 + 0.5 * r.stop_stiffness * over**2)
+    return Energies(*(v / NEWTON for v in (moving, bending, height, _contact_energy(model, touching), springs)))
+
+
+def _contact_energy(model: Model, touching: Contacts) -> Array:
+    total, pairs = jnp.zeros(()), touching.sheets
+    if pairs is not None:
+        total = total + jnp.sum(pairs.weight * elastic_energy(model.surface.column(), -pairs.gap))
+    if touching.rollers is not None:
+        total = total + jnp.sum(elastic_energy(model.pair_surface, -touching.rollers.gap))
+    return total
+
+
+def powers(model: Model, state: State, at: Pose, world: Bodies, touching: Contacts) -> Powers:
+    """Powers at a state: what the shafts put in, what dampers and sliding take out."""
+    bars, r = model.bars, model.rollers
+    every = [p for p in touching if p is not None]
+    friction = sum((jnp.sum(p.touch.friction * p.v_t) for p in every), jnp.zeros(()))
+    damping = _damping_loss(model, touching)
+    rate = state.rate - jnp.roll(state.rate, -1)
+    joints = jnp.sum(bars.joint_damping * rate**2)
+    for hold in model.holds:
+        if hold.wall:
+            joints = joints + 2.0 * model.wall_damping[hold.bar] * state.rate[hold.bar] ** 2
+    rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(r.drag * state.spin**2)
+    drives = _drive_power(model, world, touching.sheets, touching.rollers)
+    return Powers(*(v / NEWTON for v in (drives, friction, damping, joints, rollers)))
+
+
+def _damping_loss(model: Model, touching: Contacts) -> Array:
+    """What the springs of contacts give and the contact force does not take: c D^n v_n^2, and where the force is
+    clipped at zero the whole power of the spring (it lets go faster than the parts leave each other)."""
+
+    def loss(surface: Surface, pairs: Pairs | RollerPairs, weight: Array | float) -> Array:
+        return jnp.sum((weight * elastic_force(surface, -pairs.gap) - pairs.touch.force) * pairs.v_n)
+
+    total, sheets, rollers = jnp.zeros(()), touching.sheets, touching.rollers
+    if sheets is not None:
+        total = total + loss(model.surface.column(), sheets, sheets.weight)
+    if rollers is not None:
+        total = total + loss(model.pair_surface, rollers, 1.0)
+    return total
+
+
+def _drive_power(model: Model, world: Bodies, sheets: Pairs | None, pairs: RollerPairs | None) -> Array:
+    """Shafts supply the opposite of what contacts exert on driven rollers."""
+    r, n = model.rollers, model.rollers.n
+    if n == 0:
+        return jnp.zeros(())
+    moment = jnp.zeros((n,))
+    if sheets is not None:
+        moment = moment + jnp.sum(sheets.touch.friction[:n], axis=1) * r.radius
+    if pairs is not None:
+        i, j = model.pair_index
+        moment = moment.at[i].add(pairs.touch.friction * r.radius[i]).at[j].add(pairs.touch.friction * r.radius[j])
+    driven = jnp.array([k < r.counts[0] or k >= sum(r.counts[:3]) for k in range(n)])
+    return -jnp.sum(jnp.where(driven, moment * world.spin, 0.0))

@@ -1,0 +1,131 @@
+"""`check`: every problem of a scene at once, as sentences: its numbers, then its geometry at the start, then the step."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffeed.check_records import check_records
+from diffeed.forces import Contacts
+from diffeed.model import Model, build
+from diffeed.parts import Scene, normalise
+from diffeed.snapshot import look
+from diffeed.state import State, initial_state
+from diffeed.statics import settle_model
+from diffeed.steppers import DEFAULT, EXPLICIT, STEPPERS
+
+
+def check(scene: Scene, dt: float | None = None, method: str | None = None) -> list[str]:
+    """Every problem of a scene, each naming its part and field, the value and what it must be; empty if it is sound.
+
+    With `dt` (s) or `method`, also whether the step is too large for the method.
+    """
+    problems = check_records(scene)
+    method = DEFAULT if method is None else method
+    if method not in STEPPERS:
+        problems.append(f"method must be one of {', '.join(STEPPERS)}, but is {method!r}")
+    if dt is not None and not (np.isfinite(dt) and dt > 0):
+        problems.append(f"dt must be > 0 s, but is {dt}")
+    if problems:
+        return problems
+    scene = normalise(scene)
+    start, rest, found = prepare(scene)
+    model = build(scene)
+    problems = _deep(model, start, "starts", allowed=0.5)
+    if scene.initial == "settled" and not problems:
+        problems += (
+            []
+            if bool(found)
+            else ['no rest state was found from which to start; set initial = "given" to start as written']
+        )
+        problems += _speeds(scene)
+        problems += _deep(model, rest, "rests", allowed=0.0) if bool(found) else []
+    if dt is not None and method in EXPLICIT and not problems:
+        problems += _too_fast(model, rest if scene.initial == "settled" else start, dt, method)
+    return problems
+
+
+@jax.jit
+def prepare(scene: Scene) -> tuple[State, State, Any]:
+    """The start of a normalised scene as written, the rest state reached from it, and whether it was found."""
+    model = build(scene)
+    start = initial_state(model, scene)
+    if scene.initial == "settled":
+        return (start, *settle_model(model, start))
+    return start, start, jnp.asarray(True)
+
+
+def _speeds(scene: Scene) -> list[str]:
+    return [
+        f"sheets.{name}.speed must be 0 mm/s in a scene that starts settled, but is {float(sheet.speed):g};"
+        ' set initial = "given" to start in motion'
+        for name, sheet in sorted(scene.sheets.items())
+        if float(sheet.speed) != 0.0
+    ]
+
+
+@jax.jit
+def _touching(model: Model, state: State) -> Contacts:
+    return look(model, state)[2]
+
+
+def _deep(model: Model, state: State, verb: str, allowed: float) -> list[str]:
+    """Bars whose axis lies inside a body: penetration beyond half the thickness (plus `allowed` mm, which a start that is
+    settled afterwards may have)."""
+    touching = _touching(model, state)
+    pairs = touching.sheets
+    if pairs is None:
+        return []
+    gap = np.where(np.asarray(pairs.weight) > 0, np.asarray(pairs.gap), np.inf)
+    half = float(np.min(model.bars.half_thickness))
+    found = []
+    for name, row in zip((*model.circle_names, *model.lines.names, *model.arcs.names), gap, strict=True):
+        if np.isfinite(row.min()) and row.min() < -(half + allowed):
+            part = f"rollers.{name}" if name in model.rollers.names else f"guides.{name}"
+            found.append(
+                f"{part}: the sheet {verb} {-row.min():.3g} mm deep in it (bar {int(row.argmin())} of the row); "
+                f"it must be less than half the thickness, {half:g} mm"
+            )
+    return list(dict.fromkeys(found))
+
+
+def explicit_limit(model: Model, state: State) -> tuple[float, str]:
+    """Largest stable step (s) of an explicit method at a state, and the cause: 2.78/omega of bending, contact, damping.
+
+    Estimates: the zig-zag mode of the chain, omega = sqrt(48 k/(m Ls^2)); a bar on its contact spring; dampers 2.78 m/c.
+    """
+    bars = model.bars
+    length = 2.0 * bars.half_length
+    bending = float(jnp.max(jnp.sqrt(48.0 * bars.joint_stiffness / (bars.mass * length**2)))) if len(bars.mass) else 0.0
+    causes = [(2.78 / max(bending, 1e-30), "bending of the chain")]
+    if bending > 0:
+        xi = float(
+            jnp.max(
+                jnp.where(
+                    bars.joint_stiffness > 0,
+                    bars.joint_damping / jnp.where(bars.joint_stiffness > 0, bars.joint_stiffness, 1.0),
+                    0.0,
+                )
+            )
+        )
+        causes.append((2.78 / max(xi * bending**2, 1e-30), "structural damping"))
+    touching = _touching(model, state)
+    lightest = float(jnp.min(bars.mass))
+    pairs = touching.sheets
+    if pairs is not None:
+        k, c, s = (float(jnp.max(v)) for v in (pairs.touch.stiffness, pairs.touch.damping, pairs.touch.secant))
+        # An end circle turns its bar too: a quarter of the mass acts there.
+        causes.append((2.78 / max((4.0 * k / lightest) ** 0.5, 1e-30), "contact stiffness"))
+        causes.append((2.78 * lightest / max(4.0 * c, 1e-30), "contact damping"))
+        causes.append((2.78 * lightest / max(4.0 * s, 1e-30), "friction below the stick speed"))
+    return min(causes)
+
+
+def _too_fast(model: Model, state: State, dt: float, method: str) -> list[str]:
+    limit, cause = explicit_limit(model, state)
+    if dt <= limit:
+        return []
+    return [
+        f"dt must be at most {limit:.2g} s for {method} in this scene ({cause}), but is {dt:g}; {DEFAULT} takes larger steps"
+    ]

@@ -1,0 +1,380 @@
+"""Forces, one named function per cause, and `assemble`, which sums them into the system of a step.
+
+Implicit terms: with step h, a contact of force F, stiffness K and damping C adds (h^2 K + h C) g_n g_n' to the matrix
+and F - h K v_n to the force; friction adds h (mu F phi/v_t) g_t g_t' and its force. With `implicit=False` all h-terms are
+left out: the plain equations of motion.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.bodies import Bodies, bodies, shift_at
+from diffeed.contact import Kept, Pairs, RollerPairs, by_roller, roller_contacts, sheet_contacts
+from diffeed.kinematics import Pose, from_nodes, pose
+from diffeed.model import Hold, Model
+from diffeed.state import State
+from diffeed.system import BarTerms, Border, System
+
+
+class Contacts(NamedTuple):
+    """All evaluated contacts of one state; None where a scene has no such part."""
+
+    sheets: Pairs | None
+    rollers: RollerPairs | None
+
+
+class Step(NamedTuple):
+    """Length of a step and whether its end is felt: h = 0 gives the plain equations of motion."""
+
+    h: Array
+    implicit: bool
+
+
+def contacts(model: Model, at: Pose, world: Bodies, kept: Kept) -> Contacts:
+    """Sweep the kept bodies."""
+    return Contacts(
+        sheets=sheet_contacts(model, at, world, kept) if model.has_bodies else None,
+        rollers=roller_contacts(model, world) if model.pairs else None,
+    )
+
+
+def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System, Pose, Contacts]:
+    """The linear system of a step from `state`, with the pose and the contacts that it saw."""
+    with jax.named_scope("pose"):
+        at = pose(model, state)
+        world = bodies(model, state, state.time, state.time + step.h if step.implicit else state.time)
+    with jax.named_scope("contact"):
+        touching = contacts(model, at, world, kept)
+    with jax.named_scope("forces"):
+        terms = [inertia(model), weight(model), joints(model, state, step), tension(state, step)]
+        terms += [pushes(model, at), walls(model, state, step)]
+        terms += [pair_terms(model, touching.sheets, at, step)] if touching.sheets is not None else []
+        half = model.bars.half_length
+        centripetal = half * state.rate * state.rate
+        system = System(
+            bars=_sum([t for t in terms if t is not None]),
+            coupling=_coupling(model, step),
+            lever_x=half * at.s,
+            lever_y=-half * at.c,
+            bias_x=centripetal * at.c,
+            bias_y=centripetal * at.s,
+            border=border(model, state, at, touching, step, kept) if model.n_border else None,
+        )
+    return system, at, touching
+
+
+def _terms(model: Model, **given: Array) -> BarTerms:
+    """Bar terms with the given entries and zeros elsewhere."""
+    zero = jnp.zeros_like(model.bars.mass)
+    return BarTerms(**{name: given.get(name, zero) for name in BarTerms._fields})
+
+
+def _sum(terms: list[BarTerms]) -> BarTerms:
+    return BarTerms(*(functools.reduce(jnp.add, entries) for entries in zip(*terms, strict=True)))
+
+
+# --- the sheet's own -----------------------------------------------------------------------------------------------
+
+
+def inertia(model: Model) -> BarTerms:
+    """Mass matrix: diagonal, for the centre is the mass centre."""
+    return _terms(model, xx=model.bars.mass, yy=model.bars.mass, ww=model.bars.inertia)
+
+
+def weight(model: Model) -> BarTerms:
+    """Gravity."""
+    return _terms(model, fx=model.bars.mass * model.gravity[0], fy=model.bars.mass * model.gravity[1])
+
+
+def joint_moments(model: Model, state: State, lag: Array | float = 0.0) -> Array:
+    """(bars,) moment of the joint behind each bar on that bar (source paper, eq. 3, about the rest angle); the next bar
+    feels the opposite. `lag` adds stiffness times lag to the damping: the moment at the end of a step."""
+    bars = model.bars
+    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
+    rate = state.rate - jnp.roll(state.rate, -1)
+    return -bars.joint_stiffness * bend - (bars.joint_damping + lag * bars.joint_stiffness) * rate
+
+
+def joints(model: Model, state: State, step: Step) -> BarTerms:
+    """Rotational spring-dampers; their implicit part is the system's `coupling`."""
+    moment = joint_moments(model, state, step.h if step.implicit else 0.0)
+    return _terms(model, fw=moment - jnp.roll(moment, 1))
+
+
+def _coupling(model: Model, step: Step) -> Array:
+    if not step.implicit:
+        return jnp.zeros_like(model.bars.mass)
+    return step.h * (model.bars.joint_damping + step.h * model.bars.joint_stiffness)
+
+
+def tension(state: State, step: Step) -> BarTerms | None:
+    """Geometric stiffness of joint forces, its positive part, from the last step: a taut sheet needs it."""
+    if not step.implicit:
+        return None
+    taut = step.h * jnp.maximum(state.stretch, 0.0)
+    zero = jnp.zeros_like(taut)
+    return BarTerms(zero, zero, zero, zero, zero, step.h * taut, zero, zero, -taut * state.rate)
+
+
+def joint_stretch(model: Model, at: Pose, net_x: Array, net_y: Array) -> Array:
+    """(bars,) geometric stiffness per heading: half length times (pull at the front + pull at the rear).
+
+    `net_x`, `net_y`: net joint force on each bar. Running sums from the lead give the force at each joint; a sheet's
+    own sum is zero, so one running sum serves all sheets.
+    """
+    sum_x, sum_y = jnp.cumsum(net_x), jnp.cumsum(net_y)
+    return -model.bars.half_length * (at.c * (2.0 * sum_x - net_x) + at.s * (2.0 * sum_y - net_y))
+
+
+# --- loads and clamps ------------------------------------------------------------------------------------------------
+
+
+def _one_bar(model: Model, bar: int, value: Array) -> Array:
+    return jnp.zeros_like(model.bars.mass).at[bar].set(value)
+
+
+def pushes(model: Model, at: Pose) -> BarTerms | None:
+    """Dead forces and moments on nodes."""
+    if not model.pushes:
+        return None
+    found = []
+    for p in model.pushes:
+        arm = p.end * model.bars.half_length[p.bar]
+        moment = p.moment + arm * (at.c[p.bar] * p.y - at.s[p.bar] * p.x)
+        found.append(
+            _terms(model, **{k: _one_bar(model, p.bar, v) for k, v in (("fx", p.x), ("fy", p.y), ("fw", moment))})
+        )
+    return _sum(found)
+
+
+def hold_target(hold: Hold, time: Array) -> tuple[Array, Array, Array]:
+    """Where a clamp holds its node (mm) and heading (rad) at a time."""
+    if hold.path is None:
+        return hold.x, hold.y, hold.angle
+    shift = shift_at(hold.path, time)
+    return hold.x + shift.dx, hold.y + shift.dy, hold.angle + shift.angle
+
+
+def by_direction(values: tuple[Array, Array, Array]) -> dict[str, Array]:
+    """(x, y, heading) by the words that a clamp's rows use."""
+    return dict(zip(("x", "y", "heading"), values, strict=True))
+
+
+def walls(model: Model, state: State, step: Step) -> BarTerms | None:
+    """Wall joints: a spring-damper of twice the joint's stiffness between the wall and the bar at its node."""
+    found = []
+    for hold in model.holds:
+        if not hold.wall:
+            continue
+        k, c = 2.0 * model.wall_stiffness[hold.bar], 2.0 * model.wall_damping[hold.bar]
+        rate, lag = state.rate[hold.bar], (step.h if step.implicit else 0.0)
+        angle = hold_target(hold, state.time + lag)[2]
+        moment = -k * (state.heading[hold.bar] - angle) - (c + lag * k) * rate
+        terms = {"fw": _one_bar(model, hold.bar, moment)}
+        if step.implicit:
+            terms["ww"] = _one_bar(model, hold.bar, step.h * (c + step.h * k))
+        found.append(_terms(model, **terms))
+    return _sum(found) if found else None
+
+
+# --- contact -------------------------------------------------------------------------------------------------------
+
+
+class Felt(NamedTuple):
+    """A contact as the step feels it."""
+
+    a_n: Array  # added to the matrix along the normal, kg
+    a_t: Array  # and along the tangent
+    f_n: Array  # force along the normal, kg mm/s2
+    f_t: Array
+
+
+def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
+    """Implicit parts of contacts: (h^2 K + h C), h mu F phi/v_t, F - h K v_n, -mu F phi."""
+    touch, h = pairs.touch, step.h
+    if not step.implicit:
+        zero = jnp.zeros_like(touch.force)
+        return Felt(zero, zero, touch.force, -touch.friction)
+    lagged = h * touch.stiffness
+    return Felt(h * (lagged + touch.damping), h * touch.secant, touch.force - lagged * pairs.v_n, -touch.friction)
+
+
+def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
+    """Contacts summed over bodies, features given back to their bars."""
+    e = felt(pairs, step)
+    nx, ny, rn, rt = pairs.nx, pairs.ny, pairs.rn, pairs.rt
+    entries = [e.f_n * nx - e.f_t * ny, e.f_n * ny + e.f_t * nx, e.f_n * rn + e.f_t * rt]
+    if step.implicit:
+        entries += [
+            e.a_n * nx * nx + e.a_t * ny * ny,
+            (e.a_n - e.a_t) * nx * ny,
+            e.a_n * ny * ny + e.a_t * nx * nx,
+            e.a_n * nx * rn - e.a_t * ny * rt,
+            e.a_n * ny * rn + e.a_t * nx * rt,
+            e.a_n * rn * rn + e.a_t * rt * rt,
+            step.h * pairs.turning,
+        ]
+    fx, fy, fw, *matrix = from_nodes(model.layout, jnp.stack([jnp.sum(v, axis=0) for v in entries]))
+    if not step.implicit:
+        return _terms(model, fx=fx, fy=fy, fw=fw)
+    xx, xy, yy, xw, yw, ww, turning = matrix
+    return BarTerms(xx, xy, yy, xw, yw, ww + step.h * turning, fx, fy, fw - turning * at.w)
+
+
+# --- the border: rollers and clamps ----------------------------------------------------------------------------------
+
+
+def border(model: Model, state: State, at: Pose, touching: Contacts, step: Step, kept: Kept) -> Border:
+    """Travels, free spins and clamp reactions: their own terms and their coupling to the bars."""
+    columns, matrix, rhs = _roller_border(model, state, touching, step, kept)
+    for hold in model.holds:
+        more, values = _hold_rows(model, state, at, hold, step)
+        columns = jnp.concatenate([columns, more])
+        rhs = jnp.concatenate([rhs, values])
+    extra = rhs.shape[0] - matrix.shape[0]
+    return Border(columns, jnp.pad(matrix, ((0, extra), (0, extra))), rhs)
+
+
+def _roller_border(
+    model: Model, state: State, touching: Contacts, step: Step, kept: Kept
+) -> tuple[Array, Array, Array]:
+    rollers, n_bars = model.rollers, model.layout.n_bars
+    m, f = rollers.n_movable, rollers.n_free
+    travel_diag, travel_force = _travel_terms(model, state, step)
+    spin_diag, spin_force = _spin_terms(model, state, step)
+    matrix = jnp.diag(jnp.concatenate([travel_diag, spin_diag]))
+    rhs = jnp.concatenate([travel_force, spin_force])
+    columns = jnp.zeros((m + f, 3, n_bars))
+    if touching.sheets is not None and m + f:
+        more_columns, more_matrix, more_rhs = _sheet_on_rollers(model, touching.sheets, step, kept)
+        columns, matrix, rhs = columns + more_columns, matrix + more_matrix, rhs + more_rhs
+    if touching.rollers is not None:
+        more_matrix, more_rhs = _roller_on_roller(model, touching.rollers, step)
+        matrix, rhs = matrix + more_matrix, rhs + more_rhs
+    return columns, matrix, rhs
+
+
+def _travel_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
+    """Movable rollers along their travel: inertia, gravity, spring with preload, damper, stops."""
+    r, u, v = model.rollers, state.travel, state.travel_rate
+    over, under = jnp.maximum(u - r.stop_high, 0.0), jnp.maximum(r.stop_low - u, 0.0)
+    stiffness = r.spring + jnp.where((over > 0) | (under > 0), r.stop_stiffness, 0.0)
+    force = -(r.preload + r.spring * u) - r.damper * v - r.stop_stiffness * (over - under)
+    force = force + r.mass * (model.gravity[0] * r.dir_x + model.gravity[1] * r.dir_y)
+    if not step.implicit:
+        return r.mass, force
+    return r.mass + step.h * (r.damper + step.h * stiffness), force - step.h * stiffness * v
+
+
+def _spin_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
+    """Freely turning rollers: inertia and bearing drag."""
+    r = model.rollers
+    drag = -r.drag * state.spin
+    return (r.inertia + step.h * r.drag if step.implicit else r.inertia), drag
+
+
+def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tuple[Array, Array, Array]:
+    """Coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
+    rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
+    move, free, both = rollers.movable, rollers.free, slice(rollers.counts[0], m)
+    e = Felt(*(v[:n] for v in felt(pairs, step)))
+    circles = pairs._replace(nx=pairs.nx[:n], ny=pairs.ny[:n], rn=pairs.rn[:n], rt=pairs.rt[:n])
+    gn = -(kept.travel_x * circles.nx + kept.travel_y * circles.ny)
+    gt = kept.travel_x * circles.ny - kept.travel_y * circles.nx
+    gs = -kept.spin_lever
+    an, at, asp = e.a_n * gn, e.a_t * gt, e.a_t * gs
+
+    def total(values: Array, which: slice) -> Array:
+        return jnp.sum(by_roller(model, kept, values, which), axis=1)
+
+    matrix = jnp.diag(jnp.concatenate([total(an * gn + at * gt, move), total(asp * gs, free)]))
+    if rollers.counts[1]:
+        # A movable free roller has both: its travel and its spin couple through friction.
+        k, j = _both(rollers.counts)
+        cross = total(at * gs, both)
+        matrix = matrix.at[k, m + j].set(cross).at[m + j, k].set(cross)
+    rhs = jnp.concatenate([total(e.f_n * gn + e.f_t * gt, move), total(e.f_t * gs, free)])
+    columns = [
+        _column(model, kept, circles, an, at, move),
+        _column(model, kept, circles, jnp.zeros_like(asp), asp, free),
+    ]
+    return from_nodes(model.layout, jnp.concatenate(columns)), matrix, rhs
+
+
+def _column(model: Model, kept: Kept, pairs: Pairs, along: Array, across: Array, which: slice) -> Array:
+    """(rollers, 3, features): what `along` g_n + `across` g_t is at the bar."""
+    x, y = along * pairs.nx - across * pairs.ny, along * pairs.ny + across * pairs.nx
+    w = along * pairs.rn + across * pairs.rt
+    return jnp.stack([by_roller(model, kept, v, which) for v in (x, y, w)], axis=1)
+
+
+def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (travel, spin) of the rollers that have both."""
+    return counts[0] + np.arange(counts[1]), np.arange(counts[1])
+
+
+def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
+    """Rollers against each other: rows of g_n and g_t in the border's unknowns, (pairs, border)."""
+    rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
+    e = felt(pairs, step)
+    start = rollers.counts[0]
+    gn, gt = jnp.zeros((len(model.pairs), m)), jnp.zeros((len(model.pairs), m + f))
+    for side, k in ((1.0, 0), (-1.0, 1)):
+        index = model.pair_index[k]
+        at_travel = jnp.asarray(index[:, None] == np.arange(m)[None, :], gn.dtype)
+        at_spin = jnp.asarray(index[:, None] == start + np.arange(f)[None, :], gn.dtype)
+        along = pairs.nx[:, None] * rollers.dir_x[None, :] + pairs.ny[:, None] * rollers.dir_y[None, :]
+        across = pairs.nx[:, None] * rollers.dir_y[None, :] - pairs.ny[:, None] * rollers.dir_x[None, :]
+        gn = gn + side * at_travel * along
+        gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
+    gn = jnp.pad(gn, ((0, 0), (0, f)))
+    matrix = gn.T @ (e.a_n[:, None] * gn) + gt.T @ (e.a_t[:, None] * gt)
+    return matrix, e.f_n @ gn + e.f_t @ gt
+
+
+STABILISE = 500.0
+"""1/s: rate at which an explicit step lets a clamp's error decay (Baumgarte). A fixed rate is part of the differential
+equation, so the order of the method is kept; one that grows as 1/h would see the errors of its own stages."""
+
+
+def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> tuple[Array, Array]:
+    """Rows of one clamp, (rows, 3, bars) and (rows,): the held point's acceleration is what closes its error.
+
+    Implicit: it is back in place at the end of the step. Explicit: its error decays.
+    """
+    k, arm = hold.bar, hold.end * model.bars.half_length[hold.bar]
+    c, s, w = at.c[k], at.s[k], at.w[k]
+    one, zero = jnp.ones(()), jnp.zeros(())
+    rows: dict[str, tuple[Array, ...]] = {
+        "x": (one, zero, -arm * s),
+        "y": (zero, one, arm * c),
+        "heading": (zero, zero, one),
+    }
+    place = by_direction((at.x[k] + arm * c, at.y[k] + arm * s, state.heading[k]))
+    speed = by_direction((at.vx[k] - arm * s * w, at.vy[k] + arm * c * w, w))
+    bias = by_direction((arm * w * w * c, arm * w * w * s, zero))
+    target = by_direction(hold_target(hold, state.time + step.h * float(step.implicit)))
+    wanted = by_direction(_hold_speed(hold, state))
+    columns, values = [], []
+    for d in hold.rows:
+        columns.append(jnp.zeros((3, model.layout.n_bars)).at[:, k].set(jnp.stack(rows[d])))
+        error = target[d] - place[d]
+        if step.implicit:
+            closing = (error / step.h - speed[d]) / step.h
+        else:
+            closing = STABILISE * STABILISE * error + 2.0 * STABILISE * (wanted[d] - speed[d])
+        values.append(closing + bias[d])
+    return jnp.stack(columns), jnp.stack(values)
+
+
+def _hold_speed(hold: Hold, state: State) -> tuple[Array, Array, Array]:
+    if hold.path is None:
+        zero = jnp.zeros(())
+        return zero, zero, zero
+    shift = shift_at(hold.path, state.time)
+    return shift.vx, shift.vy, shift.w

@@ -1,0 +1,71 @@
+"""Pose of the chain: from mass centres and headings to bars and nodes, positions and velocities."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.model import Layout, Model
+from diffeed.state import State, mean_per_sheet, spread
+
+
+class Pose(NamedTuple):
+    """Bars in the plane, all (bars,)."""
+
+    x: Array  # bar centres, mm
+    y: Array
+    c: Array  # cosine and sine of the heading; the axis points towards the leading edge
+    s: Array
+    vx: Array  # velocities of the bar centres, mm/s
+    vy: Array
+    w: Array  # rad/s
+
+
+def pose(model: Model, state: State) -> Pose:
+    """Place every bar so that the joints are closed and the mass centre is where the state says."""
+    c, s = jnp.cos(state.heading), jnp.sin(state.heading)
+    bar = 2.0 * model.bars.half_length
+    turn = bar * state.rate
+    dx, dy, du, dv = _from_mass_centre(model.layout, jnp.stack([-bar * c, -bar * s, turn * s, -turn * c]))
+    here = [spread(model.layout, v) for v in (state.x, state.y, state.vx, state.vy)]
+    return Pose(here[0] + dx, here[1] + dy, c, s, here[2] + du, here[3] + dv, state.rate)
+
+
+def _from_mass_centre(layout: Layout, steps: Array) -> Array:
+    """(k, bars) steps from front to rear node of each bar -> bar centres relative to their sheet's mass centre."""
+    from_lead = jnp.cumsum(steps, axis=1) - 0.5 * steps
+    if len(layout.bars) == 1:
+        return from_lead - jnp.mean(from_lead, axis=1, keepdims=True)
+    means = jnp.stack([mean_per_sheet(layout, row) for row in from_lead])
+    return from_lead - means[:, layout.sheet_of_bar]
+
+
+def to_nodes(layout: Layout, at_front: Array, at_rear: Array) -> Array:
+    """(..., bars) values at both ends of each bar -> (..., nodes), sheet after sheet, lead to tail."""
+    pieces = []
+    for s in layout.slices():
+        pieces += [at_front[..., s], at_rear[..., s.stop - 1 : s.stop]]
+    return jnp.concatenate(pieces, axis=-1)
+
+
+def from_nodes(layout: Layout, values: Array) -> Array:
+    """(..., nodes) -> (..., bars): each node's value to the bar that it leads, the tail's to the last bar."""
+    pieces = []
+    for k, s in enumerate(layout.slices()):
+        a, b = s.start + k, s.stop + k
+        pieces += [values[..., a : b - 1], values[..., b - 1 : b] + values[..., b : b + 1]]
+    return jnp.concatenate(pieces, axis=-1)
+
+
+def nodes(model: Model, at: Pose) -> tuple[Array, Array]:
+    """Node positions x, y, each (nodes,), mm."""
+    half = model.bars.half_length
+    x = to_nodes(model.layout, at.x + half * at.c, at.x - half * at.c)
+    return x, to_nodes(model.layout, at.y + half * at.s, at.y - half * at.s)
+
+
+def node_velocities(model: Model, at: Pose) -> tuple[Array, Array]:
+    """Node velocities, each (nodes,), mm/s."""
+    half = model.bars.half_length
+    vx = to_nodes(model.layout, at.vx - half * at.w * at.s, at.vx + half * at.w * at.s)
+    return vx, to_nodes(model.layout, at.vy + half * at.w * at.c, at.vy - half * at.w * at.c)

@@ -1,0 +1,129 @@
+"""The files of a run in one folder, written beside it first and then moved into place."""
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffeed.parts import Scene
+from diffeed.records import fields
+from diffeed.trajectory import Trajectory
+
+SUMMARY = "summary.json"
+"""Written last: a folder with a summary is complete."""
+PICTURES = ("machine.png", "paths.png", "slip.png", "nip_forces.png")
+FILES = (*PICTURES, "player.html", "data.npz", "scene.toml", SUMMARY)
+
+
+class OutputError(Exception):
+    """Files cannot be written, or must not be."""
+
+
+def refuse_overwriting(folder: Path) -> None:
+    """Nothing is overwritten without being asked to."""
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder} is a file; name a folder for the results")
+    there = [name for name in FILES if (folder / name).exists()]
+    if there:
+        raise OutputError(
+            f"{folder} already holds {', '.join(there)}; name another folder, or add --force to replace them"
+        )
+
+
+@contextmanager
+def draft_of(folder: Path) -> Iterator[Path]:
+    """An empty folder beside `folder`, gone at the end whatever happens. Opened early, to fail before a long run."""
+    target = folder.absolute()
+    draft = target.parent / f".{target.name}.{uuid.uuid4().hex[:12]}.part"
+    with _plain_errors(f"cannot write to {folder}"):
+        draft.mkdir(parents=True)
+    try:
+        yield draft
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def write_files(draft: Path, folder: Path, scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> list[str]:
+    """Write every file of the run and move them to `folder`; the names of the files."""
+    with _plain_errors(f"the results were not written to {folder}"):
+        for name, write in _writers(scene, trajectory, summary).items():
+            write(draft / name)
+        return _publish(draft, folder)
+
+
+def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
+    """Every track of a run as plain arrays: "time", "sheets.film.nodes", "rollers.drive_1.slip", "guides.turn.gap"."""
+    found = {"time": np.asarray(trajectory.time)}
+    for section in ("sheets", "rollers", "guides"):
+        for name, track in getattr(trajectory, section).items():
+            for f in fields(track):
+                found[f"{section}.{name}.{f.name}"] = np.asarray(getattr(track, f.name))
+    return found
+
+
+def _writers(scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Callable[[Path], Any]]:
+    """File name -> what writes it. A run that failed in its first frame has no curves."""
+    from diffeed import player, plot
+    from diffeed.scene_file import save_scene
+
+    writers: dict[str, Callable[[Path], Any]] = {
+        "scene.toml": lambda path: save_scene(scene, path),
+        "data.npz": lambda path: np.savez(path, **tracks(trajectory)),  # type: ignore[arg-type]
+        "machine.png": _picture(lambda: plot.machine(scene, trajectory)),
+    }
+    if len(np.asarray(trajectory.time)) > 1:
+        title = summary["run"]["scene"]
+        writers["player.html"] = lambda path: player.write_player(path, scene, trajectory, title=title)
+        writers["paths.png"] = _picture(lambda: plot.paths(scene, trajectory, bars=_first_bars(scene)))
+        if scene.rollers:
+            writers["slip.png"] = _picture(lambda: plot.slip(scene, trajectory))
+            writers["nip_forces.png"] = _picture(lambda: plot.nip_forces(scene, trajectory))
+    writers[SUMMARY] = lambda path: path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", "utf-8")
+    return writers
+
+
+def _first_bars(scene: Scene) -> tuple[int, ...]:
+    return tuple(range(min(3, scene.sheets[min(scene.sheets)].bars)))
+
+
+def _picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+
+        figure = draw().figure
+        try:
+            figure.savefig(path)
+        finally:
+            pyplot.close(figure)
+
+    return write
+
+
+def _publish(draft: Path, folder: Path) -> list[str]:
+    """Move the draft into place: in one go if there is no such folder yet, else file by file, the summary last."""
+    names = [name for name in FILES if (draft / name).exists()]
+    if not folder.exists():
+        os.rename(draft, folder)
+        return names
+    for name in reversed(FILES):
+        (folder / name).unlink(missing_ok=True)
+    for name in names:
+        os.replace(draft / name, folder / name)
+    return names
+
+
+@contextmanager
+def _plain_errors(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{what}: {error.strerror or error}") from error

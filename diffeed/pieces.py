@@ -1,0 +1,60 @@
+"""A run in pieces of simulated time, one compiled program for all of them: to show how far it is, and to stop early."""
+
+import functools
+import math
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffeed.examine import prepare
+from diffeed.model import build
+from diffeed.parts import Scene, normalise
+from diffeed.records import replace
+from diffeed.rollout import begin, simulate
+from diffeed.state import State
+from diffeed.trajectory import Resume, Trajectory
+
+PIECES = 20
+
+
+def count_pieces(frames: int) -> int:
+    """How many pieces of whole frames: the divisor of the frames' gaps that is nearest to PIECES."""
+    gaps = frames - 1
+    divisors = [k for k in range(1, math.isqrt(gaps) + 1) if gaps % k == 0]
+    return min({*divisors, *(gaps // k for k in divisors)}, key=lambda k: abs(math.log(k / PIECES)))
+
+
+def run_in_pieces(scene: Scene, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> Iterator[Trajectory]:
+    """Pieces that `diffeed.trajectory.join` makes one run of: the steps are those of a single `simulate`.
+
+    Ends after the piece in which the run fails. The scene must have passed `diffeed.check`.
+    """
+    scene = normalise(scene)
+    count = count_pieces(frames)
+    rest = prepare(scene)[1]
+    resume = _start(scene, rest, tuple(sorted(observe)))
+    for _ in range(count):
+        piece = simulate(
+            scene, scene.duration / count, dt, (frames - 1) // count + 1, method, initial=resume, observe=observe
+        )
+        resume = piece.final
+        yield jax.block_until_ready(piece)
+        if not piece.ok:
+            return
+
+
+def cut_at_failure(trajectory: Trajectory) -> Trajectory:
+    """Only frames in which time went on: a failed run stands still at its last good state."""
+    time = np.asarray(trajectory.time, dtype=float)
+    count = 1 + int(np.argmin(np.append(time[1:] > time[:-1], False)))
+    names = ("time", "sheets", "rollers", "guides", "states")
+    return replace(trajectory, **{name: jax.tree.map(lambda v: v[:count], getattr(trajectory, name)) for name in names})
+
+
+@functools.partial(jax.jit, static_argnames="observe")
+def _start(scene: Scene, state: State, observe: tuple[str, ...]) -> Resume:
+    """What a first piece goes on from, of the same types as what later ones do: so that all are one program."""
+    resume = Resume(**begin(build(scene), scene, state, observe)._asdict())
+    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), resume)  # no weak types

@@ -1,0 +1,199 @@
+"""What a run came to, as plain data (for a file) and as tables (for a terminal of 80 columns, or a pipe)."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diffeed import measures
+from diffeed.parts import Scene
+from diffeed.records import fields
+from diffeed.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
+"""What must be observed for a report."""
+COLORS = {"passed": "bold green", "late": "bold yellow"}
+NEAREST = 8
+"""Gaps in the table; the rest are in the summary."""
+CREEP = (
+    "Slip: roller surface minus sheet. Creep floor: the slip that the regularised friction needs to carry the load; "
+    "slip of that size counts as sticking."
+)
+PRESSED = "Negative: pressed into the part."
+
+
+def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
+    """Verdict and measures of a run as words, numbers and None (not a number, or never)."""
+    return _plain(
+        {
+            "verdict": measures.verdict(scene, trajectory)._asdict(),
+            "rollers": _rollers(scene, trajectory),
+            "sheets": {name: _sheet(scene, trajectory, name) for name in sorted(scene.sheets)},
+            "smallest_gaps": _gaps(trajectory),
+            "energy": measures.energy_balance(scene, trajectory),
+        }
+    )
+
+
+def print_report(console: "Console", summary: dict[str, Any]) -> None:
+    """The verdict in the first line, then rollers, arrivals, sheets, gaps, energy, and what it took."""
+    status = summary["verdict"]["status"]
+    console.print(_verdict_line(summary["verdict"]), style=COLORS.get(status, "bold red"))
+    for title, note, table in (
+        ("Rollers, over the time in which they touch a sheet", CREEP, _roller_table(summary["rollers"])),
+        ("Arrivals of the sheets' edges", "", _arrival_table(summary["sheets"])),
+        ("Sheets", "", _sheet_table(summary["sheets"])),
+        ("Smallest gaps between sheets and parts", PRESSED, _gap_table(summary["smallest_gaps"])),
+        ("Energy balance", "", _energy_table(summary["energy"])),
+    ):
+        if table.row_count:
+            console.print(f"\n{title}", style="bold")
+            console.print(table)
+            console.print(note, end="\n" if note else "", style="dim")
+    console.print(f"\n{_took(summary['run'])}")
+
+
+# --- data -----------------------------------------------------------------------------------------------------------
+
+
+def _rollers(scene: Scene, trajectory: Trajectory) -> dict[str, dict[str, Any]]:
+    nips, floors = trajectory.observed["nips"], measures.creep_floor(scene, trajectory)
+    return {
+        name: {f.name: getattr(stats, f.name) for f in fields(stats)} | {"creep_floor": floors[name]}
+        for name, stats in nips.items()
+    }
+
+
+def _sheet(scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Any]:
+    seen = trajectory.observed
+    feed = seen["feed"][name]
+    return {
+        "arrivals": seen["arrivals"][name],
+        "largest_curvature": seen["curvature"][name],
+        "fed": feed.fed,
+        "commanded": feed.commanded,
+        "progress": measures.progress(scene, trajectory)[name] if feed.commanded else None,
+        "longest_stall": feed.longest_stall,
+    }
+
+
+def _gaps(trajectory: Trajectory) -> dict[str, Any]:
+    gaps = trajectory.observed["gaps"]
+    found = {f"{section}.{name}": value.gap for section in sorted(gaps) for name, value in gaps[section].items()}
+    return dict(sorted(found.items(), key=lambda item: float(item[1])))
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; a number that is not finite becomes None."""
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return float(value) if np.isfinite(value) else None
+
+
+# --- tables ---------------------------------------------------------------------------------------------------------
+
+
+def _verdict_line(verdict: dict[str, Any]) -> str:
+    words = [verdict["reason"]]
+    if verdict["time"] is not None and verdict["status"] != "failed":
+        words.append(f"at {verdict['time']:.4g} s")
+    words += [verdict["place"]] if verdict["place"] else []
+    return f"{verdict['status'].upper()}: {', '.join(words)}"
+
+
+def _table(first: str, *columns: str) -> "Table":
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    table.add_column(first, overflow="fold", vertical="bottom")
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True, vertical="bottom")
+    return table
+
+
+def _roller_table(rollers: dict[str, Any]) -> "Table":
+    columns = {
+        "contact\ns": "contact_time",
+        "slip\nmean\nmm/s": "slip_mean",
+        "slip\nRMS\nmm/s": "slip_rms",
+        "creep\nfloor\nmm/s": "creep_floor",
+        "normal\nmean\nN": "force_mean",
+        "normal\npeak\nN": "force_peak",
+        "friction\nmean\nN": "friction_mean",
+        "torque\nmean\nN mm": "torque_mean",
+    }
+    table = _table("roller", *columns)
+    for name, row in rollers.items():
+        touched = bool(row["contact_time"])
+        values = [_text(row[key]) for key in columns.values()] if touched else ["never", *"-" * (len(columns) - 1)]
+        table.add_row(name, *values)
+    return table
+
+
+def _arrival_table(sheets: dict[str, Any]) -> "Table":
+    table = _table("sheet at sensor", "lead edge\ns", "tail edge\ns")
+    for sheet, row in sheets.items():
+        for sensor, times in row["arrivals"].items():
+            table.add_row(f"{sheet} at {sensor}", *(_text(times[edge], "never") for edge in ("lead", "tail")))
+    return table
+
+
+def _sheet_table(sheets: dict[str, Any]) -> "Table":
+    table = _table(
+        "sheet",
+        "largest\ncurvature\n1/mm",
+        "smallest\nradius\nmm",
+        "fed\nmm",
+        "rollers\nturned\nmm",
+        "fed per\nturned",
+        "longest\nstall\ns",
+    )
+    for name, row in sheets.items():
+        curvature = row["largest_curvature"]
+        radius = 1.0 / curvature if curvature else None
+        values = (radius, row["fed"], row["commanded"], row["progress"], row["longest_stall"])
+        table.add_row(name, "-" if curvature is None else f"{curvature:.3g}", *(_text(v) for v in values))
+    return table
+
+
+def _gap_table(gaps: dict[str, Any]) -> "Table":
+    table = _table("part", "mm")
+    for name, gap in list(gaps.items())[:NEAREST]:
+        table.add_row(name, _text(gap))
+    if len(gaps) > NEAREST:
+        table.add_row(f"and {len(gaps) - NEAREST} parts further away", "")
+    return table
+
+
+def _energy_table(energy: dict[str, Any]) -> "Table":
+    table = _table("", "N mm", "share")
+    work = energy["work of drives"]
+    for name, value in energy.items():
+        share = "" if not work or value is None else f"{100.0 * value / work:.1f} %"
+        table.add_row(name, _text(value), share)
+    return table
+
+
+def _took(run: dict[str, Any]) -> str:
+    return (
+        f"{run['scene']}: {run['simulated']:.4g} s in {run['steps']} steps of {run['dt']:.4g} s "
+        f"({run['method']}, {run['precision']}); took {run['compile_seconds']:.1f} s to prepare and compile, "
+        f"{run['run_seconds']:.1f} s to run"
+    )
+
+
+def _text(value: float | None, missing: str = "-") -> str:
+    """Four digits, at most three of them decimals."""
+    if value is None:
+        return missing
+    if abs(value) >= 1e5:
+        return f"{value:.1e}"
+    whole = len(str(int(abs(value))))
+    text = f"{value:.{max(0, min(3, 4 - whole))}f}"
+    return text if float(text) else "0"

@@ -1,0 +1,150 @@
+"""Geometry of one point or one bar against one circle, line or arc: gap, normal, place. Nothing about forces.
+
+Everything is elementwise in components and broadcasts: bodies along one axis, bars or nodes along the next.
+A normal (nx, ny) points from the body into the sheet, the way in which the sheet is pushed. Gaps count to the bar axis.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.smooth import divide, norm, step_down
+
+JOIN_WINDOW = 0.25
+"""Half-width (mm) over which two guides with a common end hand a node over to each other."""
+
+
+class Near(NamedTuple):
+    """Closest approach of a body to a point of the sheet's axis."""
+
+    gap: Array  # mm, body surface to bar axis, negative inside
+    nx: Array
+    ny: Array
+    weight: Array  # 0..1: share of the contact that this pair carries
+
+
+def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> Near:
+    """A point against a circle. At the very centre the normal is (0, 1): finite value, zero gradient of the direction."""
+    dx, dy = px - cx, py - cy
+    distance = norm(dx, dy)
+    inside = distance == 0
+    return Near(distance - radius, divide(dx, distance), jnp.where(inside, 1.0, divide(dy, distance)), jnp.ones(()))
+
+
+class Face(NamedTuple):
+    """The straight or round bearing face of guides, posed: arrays (guides, 1)."""
+
+    depth: Array
+    tip_radius: Array
+    tip_x: tuple[Array, Array]  # centres of the rounded ends: (first, second)
+    tip_y: tuple[Array, Array]
+    joined: tuple[Array, Array]  # 1 where the end coincides with another guide's end
+
+
+def point_line(px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, length: Array, face: Face) -> Near:
+    """A point against a line from (x, y) along (tx, ty) that bears on its left."""
+    dx, dy = px - x, py - y
+    along, height = dx * tx + dy * ty, dy * tx - dx * ty
+    plane = Near(height, -ty + 0.0 * along, tx + 0.0 * along, jnp.ones(()))
+    return _round_ends(px, py, plane, (-along, along - length), face)
+
+
+def point_arc(
+    px: Array,
+    py: Array,
+    cx: Array,
+    cy: Array,
+    radius: Array,
+    mid: tuple[Array, Array],
+    quarter: tuple[Array, Array],
+    side: Array,
+    face: Face,
+) -> Near:
+    """A point against an arc. `mid` is the unit vector to its middle, `quarter` (cos, sin) of a quarter of its sweep,
+    `side` +1 where the sheet runs inside, -1 outside.
+
+    The end coordinates use tan(angle/2) = cross/(1 + dot): monotone over the full turn, exact to first order at the
+    ends, and free of atan2.
+    """
+    dx, dy = px - cx, py - cy
+    distance = norm(dx, dy)
+    ux, uy = divide(dx, distance), divide(dy, distance)
+    half_tangent = divide(mid[0] * uy - mid[1] * ux, 1.0 + mid[0] * ux + mid[1] * uy)
+    cos_q, sin_q = quarter
+    scale = 2.0 * radius * cos_q
+    beyond = (scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q))
+    surface = Near(side * (radius - distance), -side * ux, -side * uy, jnp.ones(()))
+    return _round_ends(px, py, surface, beyond, face)
+
+
+def _round_ends(px: Array, py: Array, plane: Near, beyond: tuple[Array, Array], face: Face) -> Near:
+    """Replace the bearing face past a free end by the tip circle, and fade it across a joined end."""
+    behind = plane.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
+    gap, weight = jnp.where(behind, -plane.gap, plane.gap), jnp.where(behind, 0.0, 1.0)
+    nx, ny = plane.nx, plane.ny
+    for end in (0, 1):
+        joined = face.joined[end] > 0
+        past = beyond[end] > jnp.where(joined, JOIN_WINDOW, 0.0)
+        tip = point_circle(px, py, face.tip_x[end], face.tip_y[end], face.tip_radius)
+        gap = jnp.where(past, tip.gap, gap)
+        nx, ny = jnp.where(past, tip.nx, nx), jnp.where(past, tip.ny, ny)
+        weight = jnp.where(joined, weight * step_down(beyond[end], JOIN_WINDOW), jnp.where(past, 1.0, weight))
+    return Near(gap, nx, ny, weight)
+
+
+class BarNear(NamedTuple):
+    """Closest approach of a circle to a chain, counted at each bar."""
+
+    gap: Array
+    nx: Array
+    ny: Array
+    weight: Array
+    arm: Array  # mm from the bar's centre along its axis to the touched point
+    on_face: Array  # bool: the circle stands over the bar's face
+
+
+class Chain(NamedTuple):
+    """Bars with their front end circles, and tails, as chain_circle wants them; (1, features)."""
+
+    x: Array  # bar centre (a tail has its last bar's values)
+    y: Array
+    c: Array
+    s: Array
+    half_length: Array
+    ahead: tuple[Array, Array]  # axis (cos, sin) of the bar in front
+    behind: tuple[Array, Array]  # and of the bar behind
+    first: np.ndarray  # bool: the first bar of its sheet
+    last: np.ndarray  # bool: the last bar
+    tail: np.ndarray  # bool: the tail
+
+
+def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
+    """Circles, (circles, 1) or (slots, features), against the features of chains.
+
+    A bar is touched on its face when the circle's foot lies on it. A joint's end circle counts once, with the bar that
+    it leads, and only in the wedge that both faces leave open (no hole where the joint bends away). Where a joint bends
+    towards the circle both faces see it: each carries the share that its foot lies inside, so that the sum stays
+    continuous and one contact is never counted twice.
+    """
+    dx, dy, c, s, half = cx - chain.x, cy - chain.y, chain.c, chain.s, chain.half_length
+    foot = dx * c + dy * s
+    front, rear = foot - half, -foot - half  # > 0: past that end of the bar
+    # The same for the neighbours, whose nearer ends are this bar's own nodes.
+    rear_ahead = -((dx - half * c) * chain.ahead[0] + (dy - half * s) * chain.ahead[1])
+    front_behind = (dx + half * c) * chain.behind[0] + (dy + half * s) * chain.behind[1]
+    rear_ahead = jnp.where(chain.first, 1.0, rear_ahead)
+    front_behind = jnp.where(chain.last, 1.0, front_behind)
+    on_face = (front <= 0) & (rear <= 0) & ~chain.tail
+    on_node = jnp.where(chain.tail, rear > 0, (front > 0) & (rear_ahead > 0))
+    share = _share(front, rear_ahead) * _share(rear, front_behind)
+    arm = jnp.clip(foot, -half, half)
+    near = point_circle(chain.x + arm * c, chain.y + arm * s, cx, cy, radius)
+    return BarNear(near.gap, near.nx, near.ny, jnp.where(on_face, share, jnp.where(on_node, 1.0, 0.0)), arm, on_face)
+
+
+def _share(mine: Array, other: Array) -> Array:
+    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too)."""
+    both = (mine <= 0) & (other <= 0) & (mine + other < 0)
+    return jnp.where(both, mine / jnp.where(both, mine + other, 1.0), 1.0)

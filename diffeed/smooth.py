@@ -1,0 +1,61 @@
+"""Gradient-safe scalar maths. Each guard says which gradient it saves; tests visit every bad point.
+
+Algebraic forms only (square roots, polynomials): cheaper than exp and tanh, and no overflow in float32.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+def ramp(x: Array, width: Array) -> tuple[Array, Array]:
+    """The ramp D(x) and its slope: 0 for x <= 0, x^2/(2 width) up to width, then x - width/2. Shapes of x.
+
+    Zero has compact support, so discarding far pairs is exact. width = 0 gives max(x, 0); the division is made safe
+    because its untaken branch would still send NaN into the gradient.
+    """
+    safe = jnp.where(width > 0, width, 1.0)
+    bent = x < width
+    value = jnp.where(bent, 0.5 * x * x / safe, x - 0.5 * width)
+    slope = jnp.where(bent, x / safe, 1.0)
+    touching = x > 0
+    return jnp.where(touching, value, 0.0), jnp.where(touching, slope, 0.0)
+
+
+def powers(x: Array, exponents: tuple[Array, ...]) -> tuple[Array, ...]:
+    """x^p for x > 0, else 0, for several p at the price of one logarithm.
+
+    Saves the gradient of x^p at 0 (infinite for p < 1, NaN for traced p).
+    """
+    positive = x > 0
+    log = jnp.log(jnp.where(positive, x, 1.0))
+    return tuple(jnp.where(positive, jnp.exp(p * log), 0.0) for p in exponents)
+
+
+def power(x: Array, exponent: Array) -> Array:
+    """x^exponent for x > 0, else 0."""
+    return powers(x, (exponent,))[0]
+
+
+def divide(a: Array, b: Array) -> Array:
+    """a/b, and 0 where b is 0. Saves both gradients of 0/0."""
+    zero = b == 0
+    return jnp.where(zero, 0.0, a / jnp.where(zero, 1.0, b))
+
+
+def norm(x: Array, y: Array) -> Array:
+    """Length of (x, y), with gradient 0 (not NaN) at the origin."""
+    square = x * x + y * y
+    zero = square == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
+def step_down(x: Array, half_width: float) -> Array:
+    """1 below -half_width, 0 above +half_width, a cubic between; step_down(x) + step_down(-x) = 1."""
+    u = jnp.clip(0.5 - 0.5 * x / half_width, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+def soft_max(x: Array, axis: int, width: float) -> Array:
+    """Largest entry along an axis, smoothed over `width` (in the unit of x); at most width*log(n) above the maximum."""
+    return width * jax.nn.logsumexp(x / width, axis=axis)

@@ -1,0 +1,401 @@
+"""Rest states and small vibrations: `settle` and `linearise`.
+
+At rest a regularised friction holds nothing: the sheet creeps. `settle` takes friction as it acts over `HOLD` seconds of
+creep: the sliding speed is displacement / HOLD, so friction is a tangential spring that saturates at mu f_n. Springs,
+contact stiffness, gravity and loads are exact; dampers play no part; driven shafts stand still.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from diffeed.bodies import bodies, interpolate
+from diffeed.contact import Kept, keep_all
+from diffeed.contact_law import Surface
+from diffeed.forces import (
+    Contacts,
+    Step,
+    border,
+    by_direction,
+    contacts,
+    hold_target,
+    joints,
+    pair_terms,
+    pushes,
+    walls,
+    weight,
+)
+from diffeed.kinematics import nodes, pose
+from diffeed.model import Drives, Hold, Model, Path, build
+from diffeed.parts import Scene, normalise, warn_if_single
+from diffeed.records import record, replace, word
+from diffeed.state import State, initial_state
+
+HOLD = 0.02
+"""s: friction at rest holds as over this time of creep."""
+ANCHOR = 1e4
+"""s: inertia over this time squared fixes what nothing else does (an idle roller that touches nothing)."""
+ITERATIONS = 500
+
+
+class Rest(NamedTuple):
+    """Unknowns of a static solve: generalised positions and clamp reactions."""
+
+    q: Array
+    reaction: Array
+
+
+# --- generalised coordinates: mass centres, headings, travels, free angles -------------------------------------------
+
+
+def positions(model: Model, state: State) -> Array:
+    """q: (2 sheets + bars + movable + free,)."""
+    return jnp.concatenate([state.x, state.y, state.heading, state.travel, state.angle[model.rollers.free]])
+
+
+def velocities(state: State) -> Array:
+    """Rates of q."""
+    return jnp.concatenate([state.vx, state.vy, state.rate, state.travel_rate, state.spin])
+
+
+def with_positions(model: Model, state: State, q: Array, v: Array) -> State:
+    """The state with positions q and rates v."""
+    s, n, m = len(model.layout.bars), model.layout.n_bars, model.rollers.n_movable
+    cuts = [s, 2 * s, 2 * s + n, 2 * s + n + m]
+    x, y, heading, travel, angle = jnp.split(q, cuts)
+    vx, vy, rate, travel_rate, spin = jnp.split(v, cuts)
+    return replace(
+        state, x=x, y=y, heading=heading, travel=travel, angle=state.angle.at[model.rollers.free].set(angle),
+        vx=vx, vy=vy, rate=rate, travel_rate=travel_rate, spin=spin,
+    )  # fmt: skip
+
+
+def generalised_force(model: Model, state: State) -> Array:
+    """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2."""
+    at = pose(model, state)
+    world = bodies(model, state, state.time, state.time)
+    kept = keep_all(model)
+    touching = contacts(model, at, world, kept)
+    plain = Step(jnp.ones(()), False)
+    terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]
+    terms += [pair_terms(model, touching.sheets, at, plain)] if touching.sheets is not None else []
+    total = [sum((getattr(t, f) for t in terms if t is not None), jnp.zeros_like(at.x)) for f in ("fx", "fy", "fw")]
+    on_rollers = _force_on_rollers(model, state, at, touching, plain, kept)
+    _, pull_back = jax.vjp(lambda q: _centres(model, state, q), positions(model, state))
+    (on_sheets,) = pull_back((total[0], total[1], total[2]))
+    n = on_sheets.shape[0] - on_rollers.shape[0]
+    return on_sheets.at[n:].add(on_rollers)
+
+
+def _centres(model: Model, state: State, q: Array) -> tuple[Array, Array, Array]:
+    moved = with_positions(model, state, q, jnp.zeros_like(q))
+    at = pose(model, moved)
+    return at.x, at.y, moved.heading
+
+
+def _force_on_rollers(model: Model, state: State, at: Any, touching: Contacts, plain: Step, kept: Kept) -> Array:
+    free = model.rollers.n_movable + model.rollers.n_free
+    return border(model, state, at, touching, plain, kept).rhs[:free] if free else jnp.zeros((0,))
+
+
+def held_places(model: Model, state: State) -> tuple[Array, Array]:
+    """Where the clamps' rows are and where they belong, each (rows,)."""
+    at = pose(model, state)
+    is_at, belongs = [jnp.zeros((0,))], [jnp.zeros((0,))]
+    for hold in model.holds:
+        place = _place(model, state, at, hold)
+        target = by_direction(hold_target(hold, state.time))
+        is_at += [place[d][None] for d in hold.rows]
+        belongs += [target[d][None] for d in hold.rows]
+    return jnp.concatenate(is_at), jnp.concatenate(belongs)
+
+
+def _place(model: Model, state: State, at: Any, hold: Hold) -> dict[str, Array]:
+    arm = hold.end * model.bars.half_length[hold.bar]
+    k = hold.bar
+    return by_direction((at.x[k] + arm * at.c[k], at.y[k] + arm * at.s[k], state.heading[k]))
+
+
+# --- settle -------------------------------------------------------------------------------------------------------------
+
+
+def at_rest(model: Model) -> Model:
+    """The model without dampers, with shafts and guides standing still as at time 0."""
+
+    def quiet(surface: Surface) -> Surface:
+        return replace(surface, damping=jnp.zeros_like(surface.damping))
+
+    def frozen(path: Path) -> Path:
+        at = {k: interpolate(path.times, getattr(path, k), jnp.zeros(()))[0][None] for k in ("x", "y", "angle")}
+        return replace(path, times=jnp.zeros((1,)), **at)
+
+    def stopped(drives: Drives) -> Drives:
+        return Drives(times=drives.times, values=jnp.zeros_like(drives.values))
+
+    bars, rollers = model.bars, model.rollers
+    return replace(
+        model,
+        bars=replace(bars, joint_damping=jnp.zeros_like(bars.joint_damping)),
+        rollers=replace(
+            rollers,
+            damper=jnp.zeros_like(rollers.damper),
+            drag=jnp.zeros_like(rollers.drag),
+            drives=(stopped(rollers.drives[0]), stopped(rollers.drives[1])),
+        ),
+        surface=quiet(model.surface),
+        pair_surface=quiet(model.pair_surface),
+        paths={k: frozen(p) for k, p in model.paths.items()},
+        wall_damping=jnp.zeros_like(model.wall_damping),
+    )
+
+
+def settle(scene: Scene) -> State:
+    """Rest state of a scene: pinches down, sheets at rest in closed nips, cantilevers bent.
+
+    Differentiable by the implicit-function theorem. Where no rest state is found (a sheet in free fall) the state's
+    numbers are NaN, so that a run started from it fails and says so.
+    """
+    scene = normalise(scene)
+    warn_if_single(scene)
+    return _settle(scene)
+
+
+@jax.jit
+def _settle(scene: Scene) -> State:
+    model = build(scene)
+    state, converged = settle_model(model, initial_state(model, scene))
+    # A factor, not a choice: the gradient of what was not found is NaN as well, never a silent zero.
+    return jax.tree.map(lambda v: v * jnp.where(converged, 1.0, jnp.nan).astype(v.dtype), state)
+
+
+def settle_model(model: Model, start: State) -> tuple[State, Array]:
+    """Rest state near `start`, and whether it was found."""
+    still = at_rest(model)
+    q0 = positions(model, start)
+    inertia = generalised_inertia(model, start)
+
+    def imbalance(rest: Rest) -> Rest:
+        state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
+        (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
+        belongs = held_places(still, start)[1]
+        force = generalised_force(still, state) + pull(rest.reaction)[0]
+        return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs)
+
+    guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
+    limit = _step_limit(still, start)
+    rest, converged = lax.custom_root(
+        imbalance, guess, lambda f, x: _relax(f, x, inertia, limit), _tangent_solve, has_aux=True
+    )
+    return with_positions(model, start, rest.q, jnp.zeros_like(rest.q)), converged > 0
+
+
+def generalised_inertia(model: Model, state: State) -> Array:
+    """Diagonal of the mass matrix in q."""
+    bars, layout = model.bars, model.layout
+    moved = jax.jacfwd(lambda h: pose(model, replace(state, heading=h))[:2])(state.heading)
+    turning = bars.inertia + sum(jnp.sum(bars.mass[:, None] * j * j, axis=0) for j in moved)
+    total = jnp.stack([jnp.sum(bars.mass[s]) for s in layout.slices()])
+    return jnp.concatenate([total, total, turning, model.rollers.mass, model.rollers.inertia])
+
+
+def _step_limit(model: Model, state: State):
+    """Share of a Newton step that moves no bar by more than a safe amount (it might jump through a guide)."""
+    touchable = bool(model.circle_names)
+    before = nodes(model, pose(model, state))
+
+    def share(q: Array, dq: Array) -> Array:
+        after = nodes(model, pose(model, with_positions(model, state, q + dq, dq)))
+        start = nodes(model, pose(model, with_positions(model, state, q, dq)))
+        n = len(model.layout.bars)
+        turn = jnp.max(jnp.abs(dq[2 * n : 2 * n + model.layout.n_bars]))
+        reach = jnp.max(jnp.hypot(after[0] - start[0], after[1] - start[1]))
+        size = jnp.max(jnp.hypot(before[0] - before[0][0], before[1] - before[1][0]))
+        allowed = 1.0 if touchable else jnp.maximum(0.2 * size, 1.0)
+        tiny = jnp.finfo(q.dtype).tiny
+        return jnp.minimum(1.0, jnp.minimum(0.3 / jnp.maximum(turn, tiny), allowed / jnp.maximum(reach, tiny)))
+
+    return share
+
+
+class _Search(NamedTuple):
+    """Carry of the search: the point to look at next, the best one seen, the squared length of the next step."""
+
+    tries: Array
+    rest: Rest
+    best: Rest
+    span2: Array
+    before: Array
+    done: Array
+
+
+def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any) -> tuple[Rest, Array]:
+    """Pseudo-transient continuation: implicit steps from rest whose length grows as the imbalance falls (switched
+    evolution relaxation), ending in Newton's method."""
+    dtype = guess.q.dtype
+    growth, smallest, largest = 4.0, 1e-10, 1e14
+    small, noise = (1e-11, 1e-8) if dtype == jnp.float64 else (2e-5, 2e-5)
+    tiny = jnp.finfo(dtype).tiny
+
+    def size(gap: Rest) -> Array:
+        """Both kinds of imbalance as a displacement: forces as what 1 ms of free motion would make of them."""
+        return jnp.max(jnp.abs(gap.q) / inertia) * 1e-6 + jnp.sum(jnp.abs(gap.reaction))
+
+    def carry_on(carry: _Search) -> Array:
+        return (carry.tries < ITERATIONS) & ~carry.done
+
+    def improve(carry: _Search) -> _Search:
+        rest, span2 = carry.rest, carry.span2
+        jacobian, gap = jax.jacfwd(lambda r: (imbalance(r),) * 2, has_aux=True)(rest)
+        # Below the noise, round-off of stiff springs on light bars: it must neither hold steps back nor refuse any.
+        now = jnp.maximum(size(gap), noise)
+        # What no shorter step would better is taken: clamps that move at once may leave nothing else.
+        good = jnp.isfinite(now) & ((now < 10.0 * carry.before) | (span2 <= smallest))
+        step = _newton_step(jacobian, gap, inertia / span2)
+        share = limit(rest.q, step.q)
+        whole = share >= 1.0
+        faster = span2 * jnp.clip(carry.before / jnp.maximum(now, tiny), 0.5, growth)
+        faster = jnp.where(whole, 2.0 * faster, jnp.minimum(faster, span2))
+        next_span2 = jnp.clip(jnp.where(good, faster, 0.1 * span2), smallest, largest)
+        close = jnp.max(jnp.abs(step.q)) < small * (1.0 + jnp.max(jnp.abs(rest.q)))
+        best = jax.tree.map(lambda a, b: jnp.where(good, a, b), rest, carry.best)
+        trial = Rest(rest.q + share * step.q, rest.reaction + share * step.reaction)
+        trial = jax.tree.map(lambda a, b: jnp.where(good, a, b), trial, best)
+        before = jnp.where(good, now, carry.before)
+        return _Search(carry.tries + 1, trial, best, next_span2, before, good & whole & close & (span2 > 1e2))
+
+    start = _Search(
+        jnp.zeros((), jnp.int32),
+        guess,
+        guess,
+        jnp.full((), 1e-6, dtype),
+        jnp.full((), jnp.inf, dtype),
+        jnp.zeros((), bool),
+    )
+    found = lax.while_loop(carry_on, improve, start)
+    return found.rest, found.done.astype(dtype)
+
+
+def _newton_step(jacobian: Any, gap: Rest, shift: Array) -> Rest:
+    """Solve (shift - dG/dy) step = G; `shift` acts on positions only."""
+    n = gap.q.shape[0]
+    matrix = _dense(jacobian)
+    diagonal = jnp.concatenate([shift, jnp.zeros_like(gap.reaction)])
+    step = jnp.linalg.solve(jnp.diag(diagonal) - matrix, jnp.concatenate([gap.q, gap.reaction]))
+    return Rest(step[:n], step[n:])
+
+
+def _dense(jacobian: Any) -> Array:
+    return jnp.block([[jacobian.q.q, jacobian.q.reaction], [jacobian.reaction.q, jacobian.reaction.reaction]])
+
+
+def _tangent_solve(linear: Any, target: Rest) -> Rest:
+    """Solve the linearised balance: dense, for the sizes at hand."""
+    n = target.q.shape[0]
+    zero = jax.tree.map(jnp.zeros_like, target)
+    matrix = _dense(jax.jacfwd(linear)(zero))
+    x = jnp.linalg.solve(matrix, jnp.concatenate([target.q, target.reaction]))
+    return Rest(x[:n], x[n:])
+
+
+# --- linearise ----------------------------------------------------------------------------------------------------------
+
+
+@record
+class Linearisation:
+    """Small motions M q'' + C q' + K q = 0 about a state, in coordinates that satisfy the clamps; (n, n) each.
+
+    Units kg, mm, s, rad. `basis` (coordinates, n) maps back to mass centres, headings, travels and free angles.
+    """
+
+    mass: Any
+    damping: Any
+    stiffness: Any
+    basis: Any
+    sheets: tuple[str, ...] = word(default=(), doc="names of the sheets", type=tuple)
+
+    def modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Undamped angular frequencies (rad/s, ascending; NaN-free: an unstable mode is negative) and shapes in columns."""
+        import scipy.linalg
+
+        square, shapes = scipy.linalg.eigh(np.asarray(self.stiffness), np.asarray(self.mass))
+        return np.sign(square) * np.sqrt(np.abs(square)), np.asarray(self.basis) @ shapes
+
+    def buckling_factors(self, loaded: "Linearisation", share: float = 1.0) -> np.ndarray:
+        """Factors on the load at which the stiffness becomes singular, ascending, if `loaded` carries `share` of it and
+        this one none. Exact where the stiffness is linear in the load (a straight sheet)."""
+        import scipy.linalg
+
+        base = np.asarray(self.stiffness)
+        change = (base - np.asarray(loaded.stiffness)) / share
+        values = scipy.linalg.eigh(change, base, eigvals_only=True)
+        return np.sort(1.0 / values[values > 1e-12 * np.abs(values).max()])
+
+
+def linearise(scene: Scene, state: State) -> Linearisation:
+    """Mass, damping and stiffness at a state, inside a trace too: frequencies have derivatives.
+
+    Stiffness and damping come from the exact derivative of the forces, geometric stiffness of joint, clamp and contact
+    forces included, made symmetric: `modes` and `buckling_factors` are those of the conservative part.
+    """
+    return _linearise(normalise(scene), state)
+
+
+@jax.jit
+def _linearise(scene: Scene, state: State) -> Linearisation:
+    model = build(scene)
+    q, v = positions(model, state), velocities(state)
+
+    def force(q: Array, v: Array) -> Array:
+        return generalised_force(model, with_positions(model, state, q, v))
+
+    rows = jax.jacfwd(lambda q: held_places(model, with_positions(model, state, q, v))[0])(q)
+    load = force(q, v)
+    reaction = jnp.linalg.lstsq(rows.T, -load)[0] if rows.shape[0] else jnp.zeros((0,))
+
+    def balance(q: Array) -> Array:
+        _, pull = jax.vjp(lambda q: held_places(model, with_positions(model, state, q, v))[0], q)
+        return force(q, v) + pull(reaction)[0]
+
+    stiffness, damping = -jax.jacfwd(balance)(q), -jax.jacfwd(lambda v: force(q, v))(v)
+    mass = mass_matrix(model, state)
+    basis = _null_space(rows)
+
+    def reduced(matrix: Array) -> Array:
+        small = basis.T @ matrix @ basis
+        return 0.5 * (small + small.T)
+
+    return Linearisation(
+        mass=reduced(mass),
+        damping=reduced(damping),
+        stiffness=reduced(stiffness),
+        basis=basis,
+        sheets=model.layout.names,
+    )
+
+
+def mass_matrix(model: Model, state: State) -> Array:
+    """Mass matrix in q, exact at this pose."""
+    q = positions(model, state)
+    moved = jax.jacfwd(lambda q: _centres(model, state, q))(q)
+    bars = model.bars
+    weights = (bars.mass, bars.mass, bars.inertia)
+    sheets = sum(j.T @ (w[:, None] * j) for j, w in zip(moved, weights, strict=True))
+    n = q.shape[0] - model.rollers.n_movable - model.rollers.n_free
+    extra = jnp.concatenate([jnp.zeros((n,)), model.rollers.mass, model.rollers.inertia])
+    return sheets + jnp.diag(extra)
+
+
+def _null_space(rows: Array) -> Array:
+    """Orthonormal basis (coordinates, free) of the motions that the clamps allow, by a complete QR factorisation.
+
+    The factorisation has no derivative: the basis is held constant and what the rows' change moves is projected out.
+    """
+    if rows.shape[0] == 0:
+        return jnp.eye(rows.shape[1])
+    q, _ = jnp.linalg.qr(lax.stop_gradient(rows.T), mode="complete")
+    free, gram = q[:, rows.shape[0] :], rows @ rows.T
+    small = 1e-10 * jnp.trace(gram) * jnp.eye(rows.shape[0])  # clamps may hold the same thing twice
+    return free - rows.T @ jnp.linalg.solve(gram + lax.stop_gradient(small), rows @ free)

@@ -1,0 +1,64 @@
+"""Classical explicit Runge-Kutta of order four: an independent check of the implicit steppers.
+
+Stable only below the limits of the stiffest spring: see `diffeed.check`.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed import chain_solve
+from diffeed.bodies import spins
+from diffeed.contact import Kept
+from diffeed.forces import Contacts, Step, assemble
+from diffeed.model import Model
+from diffeed.records import replace
+from diffeed.state import State, mean_per_sheet
+
+NODES = (0.0, 0.5, 0.5, 1.0)
+WEIGHTS = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
+
+
+def derivative(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
+    """Time derivative of every entry of the state."""
+    system, _, touching = assemble(model, state, Step(h, False), kept)
+    a = chain_solve.solve(system, model.layout)
+    m, f = model.rollers.n_movable, model.rollers.n_free
+    slope = State(
+        time=jnp.ones_like(state.time),
+        x=state.vx,
+        y=state.vy,
+        heading=state.rate,
+        travel=state.travel_rate,
+        angle=spins(model, state, state.time),
+        vx=mean_per_sheet(model.layout, a.x),
+        vy=mean_per_sheet(model.layout, a.y),
+        rate=a.w,
+        travel_rate=a.border[:m],
+        spin=a.border[m : m + f],
+        stretch=jnp.zeros_like(state.stretch),
+    )
+    return slope, touching
+
+
+def _along(state: State, slope: State, h: Array | Any) -> State:
+    return jax.tree.map(lambda x, v: x + h * v, state, slope)
+
+
+def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
+    """One step; also the contacts of the state it started from."""
+    first, touching = derivative(model, state, h, kept)
+
+    def stage(carry: tuple[State, State], node_weight: Array) -> tuple[tuple[State, State], None]:
+        slope, total = carry
+        node, weight = node_weight
+        slope, _ = derivative(model, _along(state, slope, node * h), h, kept)
+        return (slope, _along(total, slope, weight)), None
+
+    total = _along(jax.tree.map(jnp.zeros_like, state), first, WEIGHTS[0])
+    rest = jnp.array([NODES[1:], WEIGHTS[1:]]).T
+    (_, total), _ = jax.lax.scan(stage, (first, total), rest)
+    after = _along(state, total, h)
+    return replace(after, time=state.time + h), touching

@@ -1,0 +1,9 @@
+"""Every test runs in float64, without silent rank or dtype promotion; a test that needs float32 says so itself."""
+
+import jax
+import matplotlib
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+matplotlib.use("Agg")

@@ -1,0 +1,110 @@
+"""The house plan: imports run one way, importing is light and changes nothing."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "diffeed"
+
+RANKS = """
+    names records tuning smooth
+    shapes contact_law
+    parts
+    check_values
+    check_rules
+    check_records
+    paths scene_file stacking
+    model
+    state system
+    kinematics bodies
+    contact
+    candidates forces
+    chain_dense chain_elimination
+    chain_solve
+    steppers.advance steppers.linear_euler steppers.runge_kutta
+    steppers
+    trajectory energy
+    snapshot
+    observe
+    statics
+    rollout examine
+    pieces
+    measures
+    labels outlines plot_style player_data
+    plot_machine
+    plot player
+    report outputs
+    bench cli
+    __init__
+"""
+"""Modules by rank, lowest first; modules of one line may not import each other upwards either (a line is ordered)."""
+
+ORDER = RANKS.split()
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(p for p in parts if p != "__init__") or "__init__"
+        found[name] = path
+    return found
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of the package that a file imports, wherever in the file it does so."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "diffeed":
+            inner = node.module.removeprefix("diffeed").lstrip(".")
+            for alias in node.names:
+                deeper = f"{inner}.{alias.name}".lstrip(".")
+                found.add(deeper if deeper in modules() else inner or "__init__")
+        elif isinstance(node, ast.Import):
+            found |= {a.name.removeprefix("diffeed.") for a in node.names if a.name.startswith("diffeed.")}
+    return found
+
+
+def test_every_module_has_a_rank():
+    assert set(modules()) <= set(ORDER), "give each new module a place in RANKS"
+
+
+@pytest.mark.parametrize("name", sorted(modules()))
+def test_imports_run_one_way(name):
+    own = ORDER.index(name)
+    above = {m for m in imported(modules()[name]) if ORDER.index(m) >= own}
+    assert not above, f"diffeed.{name} imports {above}, which stand above it"
+
+
+def test_the_simulator_knows_no_optimiser():
+    assert not [p for p in PACKAGE.rglob("*.py") if "optax" in p.read_text() or "import optimize" in p.read_text()]
+
+
+def test_physics_imports_no_file_format_and_no_picture():
+    physics = ORDER[ORDER.index("model") : ORDER.index("measures") + 1]
+    banned = {"scene_file", "plot", "player", "cli", "tomllib", "matplotlib"}
+    for name in physics:
+        names = {
+            a.name.split(".")[0]
+            for node in ast.walk(ast.parse(modules()[name].read_text()))
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+            for a in node.names
+        }
+        assert not (imported(modules()[name]) | names) & banned, name
+
+
+def test_importing_changes_nothing():
+    code = """
+import os, sys, jax
+before = (dict(os.environ), jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)
+import diffeed
+diffeed.simulate, diffeed.load_scene, diffeed.measures
+assert (dict(os.environ), jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir) == before
+assert "matplotlib" not in sys.modules and "optax" not in sys.modules
+assert not jax._src.xla_bridge._backends, "importing started a backend"
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -1,0 +1,100 @@
+"""The two ways to solve the chain agree with each other and with a dense constrained solve."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffeed import chain_dense, chain_elimination, chain_solve
+from diffeed.model import Layout
+from diffeed.system import BarTerms, Border, System
+
+
+def random_system(layout: Layout, seed: int, columns: int) -> System:
+    """Random positive blocks, joints and border."""
+    rng = np.random.default_rng(seed)
+    n = layout.n_bars
+    root = rng.normal(size=(n, 3, 3))
+    block = root @ np.swapaxes(root, 1, 2) + np.diag([1.0, 1.0, 0.3])
+    entries = [block[:, 0, 0], block[:, 0, 1], block[:, 1, 1], block[:, 0, 2], block[:, 1, 2], block[:, 2, 2]]
+    angle = rng.uniform(0, 2 * np.pi, n)
+    half = rng.uniform(0.5, 2.0, n)
+    coupling = np.where(layout.last, 0.0, 10.0 ** rng.uniform(-3, 3, n))
+    border = None
+    if columns:
+        square = rng.normal(size=(columns, columns))
+        matrix = square @ square.T + 5.0 * n * np.eye(columns)
+        border = Border(*map(jnp.asarray, (rng.normal(size=(columns, 3, n)), matrix, rng.normal(size=columns))))
+    return System(
+        bars=BarTerms(*map(jnp.asarray, (*entries, *rng.normal(size=(3, n))))),
+        coupling=jnp.asarray(coupling),
+        lever_x=jnp.asarray(half * np.sin(angle)),
+        lever_y=jnp.asarray(-half * np.cos(angle)),
+        bias_x=jnp.asarray(rng.normal(size=n)),
+        bias_y=jnp.asarray(rng.normal(size=n)),
+        border=border,
+    )
+
+
+def constrained_solve(system: System, layout: Layout) -> np.ndarray:
+    """All accelerations by one saddle-point system, written down row by row: (3 bars + border,)."""
+    n, b = layout.n_bars, system.bars
+    size = 3 * n
+    matrix, rhs = np.zeros((size, size)), np.zeros(size)
+    for i in range(n):
+        k = 3 * i
+        matrix[k : k + 3, k : k + 3] = np.array(
+            [[b.xx[i], b.xy[i], b.xw[i]], [b.xy[i], b.yy[i], b.yw[i]], [b.xw[i], b.yw[i], b.ww[i]]]
+        )
+        rhs[k : k + 3] = [b.fx[i], b.fy[i], b.fw[i]]
+    rows, closing = [], []
+    for i in range(n - 1):
+        if layout.last[i]:
+            continue
+        e, k, j = float(system.coupling[i]), 3 * i, 3 * (i + 1)
+        matrix[k + 2, k + 2] += e
+        matrix[j + 2, j + 2] += e
+        matrix[k + 2, j + 2] -= e
+        matrix[j + 2, k + 2] -= e
+        for axis, (lever, bias) in enumerate(((system.lever_x, system.bias_x), (system.lever_y, system.bias_y))):
+            # The rear node of bar i, seen from its centre, is the front node of bar i + 1.
+            row = np.zeros(size)
+            row[k + axis], row[k + 2], row[j + axis], row[j + 2] = 1.0, lever[i], -1.0, lever[i + 1]
+            rows.append(row)
+            closing.append(-bias[i] - bias[i + 1])
+    joints = np.array(rows).reshape(-1, size)
+    columns = np.zeros((0, size)) if system.border is None else np.asarray(system.border.columns).transpose(0, 2, 1)
+    columns = columns.reshape(-1, size)
+    own = np.zeros((0, 0)) if system.border is None else np.asarray(system.border.matrix)
+    more = np.zeros(0) if system.border is None else np.asarray(system.border.rhs)
+    m, c = len(joints), len(columns)
+    full = np.block(
+        [
+            [matrix, columns.T, joints.T],
+            [columns, own, np.zeros((c, m))],
+            [joints, np.zeros((m, c)), np.zeros((m, m))],
+        ]
+    )
+    return np.linalg.solve(full, np.concatenate([rhs, more, closing]))[: size + c]
+
+
+@pytest.mark.parametrize("bars", [(1,), (2,), (7,), (3, 1, 4)])
+@pytest.mark.parametrize("columns", [0, 1, 3])
+@pytest.mark.parametrize("way", [chain_dense, chain_elimination])
+def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, way):
+    layout = Layout(tuple(f"s{k}" for k in range(len(bars))), bars)
+    system = random_system(layout, 7 * sum(bars) + columns, columns)
+    monkeypatch.setattr(chain_solve, "DENSE_UP_TO", 10_000 if way is chain_dense else 0)
+    found = chain_solve.solve(system, layout)
+    flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border])
+    np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
+
+
+def test_long_chain_keeps_its_digits():
+    layout = Layout(("s",), (300,))
+    system = random_system(layout, 1, 2)
+    sides = jnp.stack([system.bars.fx, system.bars.fy, system.bars.fw])[None]
+    slow = chain_dense.respond(system, layout, sides)
+    fast = jax.jit(chain_elimination.respond, static_argnums=1)(system, layout, sides)
+    for a, b in zip(slow, fast, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-10 * float(jnp.max(jnp.abs(a))))

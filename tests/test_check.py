@@ -1,0 +1,250 @@
+import datetime
+import pickle
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffeed.check_records import SceneError, check_records, checked, make_scene
+from diffeed.parts import (
+    ArcGuide,
+    CircleGuide,
+    Clamp,
+    Contact,
+    FixedRoller,
+    LineGuide,
+    Load,
+    Motion,
+    MovableRoller,
+    Profile,
+    Scene,
+    Sensor,
+    Sheet,
+    normalise,
+)
+from diffeed.records import fields, replace
+
+SWING = Motion(times=[0.0, 0.5, 1.0], displacement=[[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]], rotation=[0.0, 10.0, 20.0])
+RAMP = Profile(times=(0.0, 0.1), values=(0.0, -30.0))
+SCENE = Scene(
+    sheets={"film": Sheet(length=200, thickness=0.5, width=35.0, density=2e-6, youngs_modulus=2250.0)},
+    rollers={
+        "drive": FixedRoller(center=(0.0, -10.0), radius=10.0, angular_speed=RAMP, contact="rubber"),
+        "pinch": MovableRoller(center=(0.0, 10.0), direction=(0.0, 1.0), radius=10, mass=0.02),
+    },
+    guides={
+        "line": LineGuide(start=(0.0, 0.0), end=(10.0, 0.0), motion=SWING),
+        "arc": ArcGuide(center=(0.0, 0.0), radius=80.0, start_angle=-90.0, sweep=60.0),
+        "circle": CircleGuide(center=(5.0, 5.0), radius=2.0),
+    },
+    contacts={"rubber": Contact(stiffness=50.0)},
+    clamps={"hold": Clamp(sheet="film", at=20)},
+    loads={"tip": Load(sheet="film", force=(0.0, -0.1))},
+    sensors={"exit": Sensor(position=(100.0, 0.0), direction=(1.0, 0.0))},
+    goal="exit",
+)
+
+
+def changed(node: Any, path: list[str], value: Any) -> Any:
+    """The scene with any object whatever at a path, so that bad ones can be tried."""
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(node, dict):
+        return {**node, head: changed(node.get(head), rest, value)}
+    return replace(node, **{head: changed(getattr(node, head), rest, value)})
+
+
+def problems_with(path: str, value: Any) -> list[str]:
+    return check_records(changed(SCENE, path.split("."), value))
+
+
+def test_a_sound_scene_has_no_problems_raw_or_normalised():
+    assert check_records(SCENE) == []
+    assert check_records(normalise(SCENE)) == []
+
+
+NAN = float("nan")
+BAD: list[tuple[str, Any, str]] = [
+    ("rollers.pinch.radius", -2.0, "rollers.pinch.radius must be > 0 mm, but is -2.0"),
+    ("rollers.pinch.radius", jnp.asarray(-2.0), "rollers.pinch.radius must be > 0 mm, but is -2.0"),
+    ("rollers.pinch.radius", 0, "must be > 0 mm, but is 0"),
+    ("rollers.pinch.damper", -1.0, "rollers.pinch.damper must be >= 0 N s/mm, but is -1.0"),
+    ("rollers.pinch.radius", None, "rollers.pinch.radius is missing: it must be a number > 0 in mm"),
+    ("rollers.pinch.radius", "ten", 'must be a number > 0 in mm, but is "ten"'),
+    ("rollers.pinch.radius", True, "must be a number > 0 in mm, but is true"),
+    ("rollers.pinch.radius", np.asarray(True), "must be a number"),
+    ("rollers.pinch.radius", 1j, "must be a number"),
+    ("rollers.pinch.radius", [1.0], "must be a number > 0 in mm, but is [1.0]"),
+    ("rollers.pinch.radius", {"a": 1}, "but is a table"),
+    ("rollers.pinch.radius", RAMP, "but is a profile"),
+    ("rollers.pinch.radius", datetime.date(2024, 1, 1), "but is datetime.date(2024, 1, 1)"),
+    ("rollers.pinch.radius", NAN, "must be finite, but is nan"),
+    ("rollers.pinch.radius", float("inf"), "must be finite, but is inf"),
+    ("rollers.pinch.radius", 10**400, "must be finite"),
+    ("rollers.pinch.radius", 10**5000, "must be finite"),
+    ("rollers.pinch.center", 3.0, "rollers.pinch.center must be 2 numbers in mm, but is 3.0"),
+    ("rollers.pinch.center", (1.0, 2.0, 3.0), "must be 2 numbers in mm, but is (1.0, 2.0, 3.0)"),
+    ("rollers.pinch.center", [[1.0, 2.0]], "must be 2 numbers"),
+    ("rollers.pinch.center", [1.0, [2.0]], "must be 2 numbers"),
+    ("rollers.pinch.center", [1.0, NAN], "must be finite, but is [1.0, nan]"),
+    ("rollers.pinch.direction", (0.0, 0.0), "rollers.pinch.direction must not be zero"),
+    ("rollers.pinch.direction", None, "rollers.pinch.direction is missing"),
+    ("rollers.pinch.surface_speed", [1.0, 2.0], "or a profile {times = [...], values = [...]}"),
+    ("rollers.pinch", SCENE.sheets["film"], "must be a FixedRoller or MovableRoller"),
+    ("rollers.pinch", 3, "rollers.pinch must be a FixedRoller or MovableRoller (in a file: a table [rollers.pinch])"),
+    (
+        "rollers.drive.surface_speed",
+        3.0,
+        "rollers.drive must have one of angular_speed and surface_speed, but has both",
+    ),
+    ("rollers.drive.contact", "rubbr", 'must be the name of a contact set, but is "rubbr"; did you mean "rubber"?'),
+    ("rollers.drive.contact", 3, "rollers.drive.contact must be a word (name of the contact set), but is 3"),
+    ("rollers.drive.angular_speed.times", [0.1, 0.1], "times must increase, but 0.1 follows 0.1"),
+    ("rollers.drive.angular_speed.times", [0.0, 1.0, 2.0], "must have one entry for each of the 3 times, but has 2"),
+    ("rollers.drive.angular_speed.times", [], "angular_speed.times must be a list of one or more numbers in s"),
+    ("rollers.drive.angular_speed.values", [0.0, "x"], "must be a list of one or more numbers, but is [0.0, 'x']"),
+    ("guides.line.end", (0.0, 0.0), "guides.line.end must differ from start"),
+    ("guides.line.motion", 3, "guides.line.motion must be a Motion"),
+    ("guides.line.motion.times", [0.0, 1.0, 0.5], "guides.line.motion.times must increase, but 0.5 follows 1.0"),
+    ("guides.line.motion.rotation", [0.0], "motion.rotation must have one entry for each of the 3 times, but has 1"),
+    ("guides.line.motion.displacement", [1.0, 2.0, 3.0], "must be a list of one or more pairs of numbers in mm"),
+    ("guides.arc.sweep", 0.0, "guides.arc.sweep must be from -360 to 360 deg and not 0"),
+    ("guides.arc.sweep", -361, "guides.arc.sweep must be from -360 to 360 deg and not 0, but is -361"),
+    ("guides.arc.side", "insde", 'guides.arc.side must be "inside" or "outside", but is "insde"'),
+    ("guides.arc.side", ["inside"], 'must be "inside" or "outside"'),
+    ("guides", [1], "guides must be a table of named parts, but is [1]"),
+    ("guides", "none", 'guides must be a table of named parts, but is "none"'),
+    ("guides.a b", SCENE.guides["line"], 'guides: a name must be made of letters A-Z a-z, digits and _, but is "a b"'),
+    ("guides.new\n", SCENE.guides["line"], "a name must be made of"),
+    ("contacts.rubber.smoothing", 0.0, "contacts.rubber.smoothing must be > 0 mm unless exponent > 1, but is 0.0"),
+    ("contacts.rubber.friction_law", "tan", 'must be "sqrt" or "tanh"'),
+    ("sheets", {}, "sheets must hold at least one sheet, but is empty"),
+    ("sheets.film.bars", 0, "sheets.film.bars must be from 1 to 10000, but is 0"),
+    ("sheets.film.bars", 10_001, "sheets.film.bars must be from 1 to 10000, but is 10001"),
+    ("sheets.film.bars", 20.0, "sheets.film.bars must be a whole number, but is 20.0"),
+    ("sheets.film.bars", True, "sheets.film.bars must be a whole number, but is true"),
+    ("sheets.film.bars", None, "sheets.film.bars is missing: it must be a whole number"),
+    ("sheets.film.bars", 500, "thickness must be <= the length of a bar (0.4 mm: length / bars), but is 0.5"),
+    ("sheets.film.headings", [0.0] * 19, "sheets.film.headings must be 20 numbers in deg, one for each bar"),
+    ("sheets.film.rates", 0.0, "sheets.film.rates must be 20 numbers in rad/s, one for each bar, but is 0.0"),
+    ("clamps.hold.sheet", "fim", 'clamps.hold.sheet must be the name of a sheet, but is "fim"; did you mean "film"?'),
+    ("clamps.hold.sheet", None, "clamps.hold.sheet is missing"),
+    ("clamps.hold.at", 21, '"lead", "tail" or the number of a node (0 to 20), but is 21'),
+    ("clamps.hold.at", -1, "(0 to 20), but is -1"),
+    ("clamps.hold.at", "head", '"lead", "tail" or the number of a node, but is "head"'),
+    ("clamps.hold.at", True, "the number of a node, but is true"),
+    ("clamps.hold.at", 1.0, "the number of a node, but is 1.0"),
+    ("clamps.hold.kind", "bar", "the number of a bar (0 to 19), but is 20"),
+    ("clamps.hold.kind", np.array(["bar", "pin"]), "clamps.hold.kind must be"),
+    ("clamps.hold.kind", "weld", 'clamps.hold.kind must be "pin" or "wall" or "bar"'),
+    ("loads.tip.sheet", "x", "loads.tip.sheet must be the name of a sheet"),
+    ("loads.tip.at", 99, "(0 to 20), but is 99"),
+    ("sensors.exit.direction", (0.0, 0.0), "sensors.exit.direction must not be zero"),
+    ("goal", "exitt", 'goal must be the name of a sensor, but is "exitt"; did you mean "exit"?'),
+    ("goal", 3, "goal must be a word"),
+    ("duration", 0, "duration must be finite and > 0 s, but is 0"),
+    ("duration", NAN, "duration must be finite and > 0 s, but is nan"),
+    ("duration", "1 s", 'duration must be a plain number, but is "1 s"'),
+    ("initial", "rest", 'initial must be "settled" or "given", but is "rest"'),
+    ("gravity", -9810.0, "gravity must be 2 numbers in mm/s2, but is -9810.0"),
+    ("gravity", None, "gravity is missing"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "fragment"), BAD, ids=[f"{i}-{p}" for i, (p, _, _) in enumerate(BAD)])
+def test_one_mistake_is_named_with_field_value_and_wish(path, value, fragment):
+    if path == "sheets":  # the clamp and the load lose their sheet as well
+        assert fragment in problems_with(path, value)
+        return
+    problems = problems_with(path, value)
+    assert len(problems) == 1, problems
+    assert fragment in problems[0]
+
+
+def test_stops_in_the_wrong_order():
+    pinch = replace(SCENE.rollers["pinch"], travel_min=2.0, travel_max=1.0)
+    assert problems_with("rollers.pinch", pinch) == ["rollers.pinch.travel_min must be <= travel_max (1.0), but is 2.0"]
+
+
+def test_no_smoothing_is_right_for_an_exponent_above_one():
+    assert problems_with("contacts.rubber", Contact(smoothing=0.0, exponent=1.5)) == []
+
+
+def test_the_default_contact_set_needs_no_entry():
+    assert problems_with("contacts", {"rubber": Contact()}) == []
+
+
+def test_parts_of_the_same_name_in_two_sections_are_fine():
+    assert problems_with("guides.drive", SCENE.guides["line"]) == []
+
+
+def test_what_the_default_precision_turns_into_zero_or_infinity_is_refused():
+    with jax.enable_x64(False):
+        assert "must be finite" in problems_with("rollers.pinch.radius", 1e300)[0]
+        assert "must be > 0" in problems_with("rollers.pinch.radius", 1e-300)[0]
+    assert problems_with("rollers.pinch.radius", 1e-300) == []
+
+
+def test_traced_numbers_pass_but_their_shape_is_checked():
+    def judge(x):
+        pair = problems_with("rollers.pinch.center", (x, 1.0))
+        scene = checked(changed(SCENE, ["rollers", "pinch", "radius"], x))
+        assert pair == []
+        assert "must be 2 numbers in mm/s2, but is a value that JAX traces" in problems_with("gravity", x)[0]
+        return scene.rollers["pinch"].radius
+
+    assert jax.jit(jax.grad(judge))(3.0) == 1.0
+
+
+@pytest.mark.parametrize("thing", [None, 3, {}, "scene", SCENE.sheets["film"]])
+def test_what_is_no_scene_at_all(thing):
+    assert "a Scene is needed" in check_records(thing)[0]
+
+
+def test_make_scene_normalises_or_lists_every_problem():
+    film = SCENE.sheets["film"]
+    assert make_scene(sheets={"film": film}).sheets["film"].length.dtype == jnp.float64
+    with pytest.raises(SceneError) as caught:
+        make_scene(sheets={"film": replace(film, length=-1.0, width="w")}, duration=-1.0)
+    assert len(caught.value.problems) == 3
+    assert str(caught.value).splitlines() == ["scene: 3 problems", *(f"  {p}" for p in caught.value.problems)]
+
+
+def test_scene_error_survives_pickling():
+    again = pickle.loads(pickle.dumps(SceneError(["a", "b"], "x.toml")))
+    assert (again.problems, str(again)) == (["a", "b"], "x.toml: 2 problems\n  a\n  b")
+
+
+def _places(node: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    children = node if isinstance(node, dict) else {f.name: getattr(node, f.name) for f in fields(node)}
+    deep = [(n, c) for n, c in children.items() if hasattr(c, "__dataclass_fields__") or isinstance(c, dict)]
+    return [(*path, n) for n in children] + [p for n, c in deep for p in _places(c, (*path, n))]
+
+
+_ODD = st.sampled_from(
+    [SCENE, SWING, RAMP, Scene, object(), b"x", 1j, -(10**400), np.array(["a"]), np.zeros((2, 0)), NAN]
+)
+_JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | _ODD,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=2) | st.tuples(inner)
+    ),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(where=st.lists(st.sampled_from(_places(SCENE)), min_size=1, max_size=2), junk=_JUNK)
+def test_no_input_makes_the_check_raise(where, junk):
+    scene = SCENE
+    for path in where:
+        try:
+            scene = changed(scene, list(path), junk)
+        except (TypeError, AttributeError):  # the first piece of junk replaced what the second path leads through
+            continue
+    assert all(isinstance(p, str) for p in check_records(scene))

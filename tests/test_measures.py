@@ -1,0 +1,173 @@
+"""Measures against values known by construction."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import diffeed
+from diffeed import Clamp, FixedRoller, LineGuide, MovableRoller, Profile, Scene, Sensor, Sheet, measures
+
+FILM = {"thickness": 0.2, "width": 20.0, "density": 1e-6, "youngs_modulus": 3000.0, "structural_damping": 1e-4}
+ALL = tuple(diffeed.OBSERVERS)
+
+
+def nip(speed: float = 100.0, **changes) -> Scene:
+    """A sheet in one driven nip on a table, a gate 5 mm ahead of its lead and one that its tail passes."""
+    # A shaft that jumps to speed would be an impact, which a coarse step blurs: it ramps up within 20 ms.
+    ramp = Profile(times=(0.0, 0.02), values=(0.0, -speed / 10.0))
+    parts = {
+        "sheets": {"a": Sheet(length=40.0, bars=4, lead=(20.0, 0.0), **FILM)},
+        "rollers": {
+            "drive": FixedRoller(center=(0.0, -10.1), radius=10.0, friction=0.8, angular_speed=ramp),
+            "pinch": MovableRoller(
+                center=(0.0, 10.1), direction=(0.0, 1.0), radius=10.0, mass=0.02, preload=3.0, damper=0.02, friction=0.8
+            ),
+        },
+        "guides": {
+            "table": LineGuide(start=(-60.0, -0.5), end=(-6.0, -0.5)),
+            "out": LineGuide(start=(6.0, -0.5), end=(90.0, -0.5)),
+        },
+        "sensors": {
+            "gate": Sensor(position=(25.0, 0.0), direction=(1.0, 0.0)),
+            "exit": Sensor(position=(-15.0, 0.0), direction=(1.0, 0.0)),
+        },
+        "goal": "exit",
+        "duration": 0.1,
+    }
+    return Scene(**(parts | changes))
+
+
+@pytest.fixture(scope="module")
+def run() -> diffeed.Trajectory:
+    return diffeed.simulate(nip(), dt=1e-4, frames=21, observe=ALL)
+
+
+def test_arrivals_are_where_speed_and_distance_put_them(run):
+    """5 mm at 100 mm/s after a ramp that loses 10 ms: 0.06 s, within the creep of a nip that carries next to nothing."""
+    assert float(measures.arrival(run, "a", "gate")) == pytest.approx(0.06, abs=4e-4)
+    assert float(measures.arrival(run, "a", "exit", "tail")) == pytest.approx(0.06, abs=4e-4)
+    assert measures.arrival(run, "a", "gate", "tail") == jnp.inf
+
+
+def test_nip_carries_preload_and_weight(run):
+    stats = run.observed["nips"]["pinch"]
+    assert float(stats.force_mean) == pytest.approx(3.0 + 0.02 * 9.81, rel=2e-3)
+    assert float(stats.contact_time) == pytest.approx(0.1)
+    assert float(stats.force_peak) >= float(stats.force_mean)
+
+
+def test_progress_counts_fed_over_commanded(run):
+    assert float(measures.progress(nip(), run)["a"]) == pytest.approx(1.0, abs=5e-3)
+    feed = run.observed["feed"]["a"]
+    assert float(feed.commanded) == pytest.approx(9.0, rel=2e-3)
+
+
+def test_creep_floor_is_the_inverse_of_the_law(run):
+    """At the mean square friction of the run, v/sqrt(v^2 + vs^2) = load/(mu N) gives the floor back."""
+    stats, floor = run.observed["nips"]["drive"], float(measures.creep_floor(nip(), run)["drive"])
+    load = float(stats.friction_rms / (0.8 * stats.force_mean))
+    assert floor / np.hypot(floor, 3.0) == pytest.approx(min(load, 0.95), rel=1e-9)
+    assert float(measures.slip(nip(), run)["drive"].floor) == floor
+
+
+def test_drag_shows_as_friction_and_torque():
+    """A load of 0.5 N against the feed: the nip pulls with it, and the drive's contact torque is that times its radius."""
+    load = {"drag": diffeed.Load(sheet="a", at="tail", force=(-0.5, 0.0))}
+    run = diffeed.simulate(nip(loads=load, guides={}, gravity=(0.0, 0.0)), dt=1e-4, frames=21, observe=ALL)
+    drive, pinch = run.rollers["drive"], run.rollers["pinch"]
+    assert float(drive.friction[-1] + pinch.friction[-1]) == pytest.approx(0.5, rel=1e-3)
+    assert float(pinch.friction[-1]) == pytest.approx(0.0, abs=1e-3)  # it turns freely
+    assert float(drive.torque[-1]) == pytest.approx(0.5 * 10.0, rel=1e-3)
+    # Slip to carry it: v/sqrt(v^2 + vs^2) = 0.5/(0.8 N).
+    share = 0.5 / (0.8 * float(drive.force[-1]))
+    assert float(drive.slip[-1]) == pytest.approx(3.0 * share / np.sqrt(1.0 - share**2), rel=1e-3)
+
+
+def test_energy_balance_closes_as_the_step_shrinks():
+    gaps = []
+    for dt in (2e-4, 5e-5):
+        run = diffeed.simulate(nip(), dt=dt, frames=3, observe=("energy",))
+        balance = measures.energy_balance(nip(), run)
+        gaps.append(abs(float(balance["numerical"])) / float(balance["work of drives"]))
+    assert gaps[1] < 0.6 * gaps[0]
+    assert gaps[1] < 0.1
+
+
+def test_gaps_reach_parts_that_nothing_touches(run):
+    far = diffeed.simulate(
+        nip(guides=nip().guides | {"roof": LineGuide(start=(90.0, 7.0), end=(4.0, 7.0))}),
+        dt=1e-4,
+        frames=3,
+        observe=("gaps",),
+    )
+    assert float(far.observed["gaps"]["guides"]["roof"].gap) == pytest.approx(7.0 - 0.1, abs=0.05)
+    found = measures.pair_gaps(nip(), run)
+    assert found.gap.shape == (21, len(found.bodies), len(found.features))
+    assert found.features[0] == "a.0"
+    assert found.features[-1] == "a.tail"
+
+
+def test_a_guide_out_of_reach_has_a_gap_with_a_gradient():
+    def gap(height):
+        scene = nip(guides={"roof": LineGuide(start=(90.0, height), end=(4.0, height))}, gravity=(0.0, 0.0))
+        return diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=2).guides["roof"].gap[-1]
+
+    assert float(jax.grad(gap)(20.0)) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_attack_angle_is_that_of_the_ramp():
+    """The lead meets a guide inclined by 20 degrees."""
+    ramp = LineGuide(
+        start=(22.0, -0.5), end=(22.0 + 40.0 * np.cos(np.deg2rad(20)), -0.5 + 40.0 * np.sin(np.deg2rad(20)))
+    )
+    scene = nip(guides={"table": nip().guides["table"], "ramp": ramp})
+    run = diffeed.simulate(scene, dt=1e-4, frames=101)
+    attack = measures.attack_angle(scene, run, "ramp")
+    assert float(attack.at_contact) == pytest.approx(20.0, abs=2.0)
+    assert attack.gap.shape == (101,)
+    with pytest.raises(ValueError, match="no roller or guide named 'rmap'"):
+        measures.attack_angle(scene, run, "rmap")
+
+
+def test_curvature_of_a_circle():
+    """Headings that turn by 0.1 rad at each 10 mm joint: 0.01 1/mm."""
+    sheet = Sheet(length=40.0, bars=4, headings=tuple(np.rad2deg([0.3, 0.2, 0.1, 0.0])), **FILM)
+    scene = Scene(sheets={"a": sheet}, gravity=(0.0, 0.0), initial="given")
+    run = diffeed.simulate(scene, duration=1e-5, dt=1e-5, frames=2, observe=("curvature",))
+    np.testing.assert_allclose(measures.curvature(scene, run)["a"][0], 0.01, rtol=1e-9)
+    assert float(run.observed["curvature"]["a"]) == pytest.approx(0.01, rel=1e-3)
+
+
+def test_observations_must_be_asked_for(run):
+    bare = diffeed.simulate(nip(), duration=0.01, dt=1e-3, frames=2)
+    with pytest.raises(ValueError, match=r'observe=\("nips",\)'):
+        measures.slip(nip(), bare)
+
+
+VERDICTS = {
+    "passed": (nip(), "passed", "passed exit"),
+    "late": (nip(speed=40.0), "late", "has not reached exit"),
+    "stalled at a stop": (  # so stiff that the drive slips before the sheet buckles
+        diffeed.put(
+            nip(guides=nip().guides | {"wall": LineGuide(start=(22.0, -9.0), end=(22.0, 9.0))}),
+            "sheets.a.youngs_modulus",
+            3e5,
+        ),
+        "jammed",
+        "stalled",
+    ),
+    "no nip holds it": (
+        nip(rollers={"drive": nip().rollers["drive"]}, clamps={"c": Clamp(sheet="a", at="tail")}),
+        "jammed",
+        "stalled",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", VERDICTS)
+def test_verdicts(case):
+    scene, status, fragment = VERDICTS[case]
+    verdict = measures.verdict(scene, diffeed.simulate(scene, dt=2e-4, frames=51))
+    assert verdict.status == status, verdict
+    assert fragment in verdict.sentence()

@@ -1,0 +1,151 @@
+"""The pictures for print: each returns its axes, says its units and shows what the run holds."""
+
+import dataclasses
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+mpl.use("Agg")
+
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+from stand_in import film_feeder, run
+
+from diffeed import labels, outlines, plot
+from diffeed.parts import ArcGuide, Clamp, LineGuide, Motion, Profile, Scene, Sensor, normalise
+
+SCENE = film_feeder()
+RUN = run(SCENE)
+PICTURES = {
+    "machine": plot.machine,
+    "slip": plot.slip,
+    "paths": plot.paths,
+    "nip_forces": plot.nip_forces,
+    "sheet_state": plot.sheet_state,
+}
+
+
+@pytest.fixture(autouse=True)
+def _closed_figures():
+    yield
+    pyplot.close("all")
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_every_axis_has_a_unit(name):
+    ax = PICTURES[name](SCENE, RUN)
+    assert isinstance(ax, Axes)
+    assert all("(mm" in text or "(s)" in text or "(N" in text for text in (ax.get_xlabel(), ax.get_ylabel()))
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_draws_into_given_axes(name):
+    _, ax = pyplot.subplots()
+    assert PICTURES[name](SCENE, RUN, ax=ax) is ax
+    assert len(pyplot.get_fignums()) == 1
+
+
+def test_machine_names_every_part_and_draws_every_roller():
+    ax = plot.machine(SCENE)
+    assert {text.get_text() for text in ax.texts} >= set(SCENE.rollers) | set(SCENE.guides)
+    circles = [patch.center for patch in ax.patches if isinstance(patch, Circle)]
+    for roller in SCENE.rollers.values():
+        assert np.min(np.hypot(*(np.array(circles) - np.asarray(roller.center)).T)) < 1e-9
+    assert ax.get_aspect() == 1.0
+
+
+def test_machine_draws_the_chosen_frames():
+    ax = plot.machine(SCENE, RUN, frames=(0, -1))
+    legend = ax.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["sheet at 0 s", "1 s"]
+
+
+def test_machine_draws_sensors_and_clamps():
+    gate = Sensor(position=(50.0, 0.0), direction=(1.0, 0.0))
+    clamps = {"hold": Clamp(sheet="film"), "wall": Clamp(sheet="film", at=3, kind="wall")}
+    ax = plot.machine(normalise(dataclasses.replace(SCENE, sensors={"gate": gate}, clamps=clamps)), RUN)
+    assert {"gate", "hold", "wall"} <= {text.get_text() for text in ax.texts}
+
+
+def test_slip_shows_driven_rollers_only_and_only_in_contact():
+    lines = {line.get_label(): line for line in plot.slip(SCENE, RUN).get_lines()}
+    shown = {str(name) for name in lines if not str(name).startswith("_")}
+    assert shown == {"drive_1", "drive_2", "drive_3"}
+    drawn = np.asarray(lines["drive_3"].get_ydata(), dtype=float)
+    np.testing.assert_array_equal(np.isnan(drawn), RUN.rollers["drive_3"].force == 0.0)
+
+
+def test_a_peak_does_not_flatten_the_slip():
+    peaked = run(SCENE)
+    peaked.rollers["drive_1"].slip[0] = 300.0
+    ax = plot.slip(SCENE, peaked)
+    assert ax.get_ylim()[1] < 10.0
+    assert "to 300 lie off the scale" in ax.texts[0].get_text()
+    assert not plot.slip(SCENE, RUN).texts
+
+
+def test_paths_are_those_of_bar_centres():
+    lines = {line.get_label(): line for line in plot.paths(SCENE, RUN, bars=(2,)).get_lines()}
+    nodes = RUN.sheets["film"].nodes
+    np.testing.assert_array_equal(np.asarray(lines["centre of bar 2"].get_xydata()), 0.5 * (nodes[:, 2] + nodes[:, 3]))
+
+
+def test_sheet_state_draws_force_too():
+    assert "mm" in plot.sheet_state(SCENE, RUN, "force").get_ylabel()
+
+
+def test_labels_avoid_each_other_and_obstacles():
+    wall = np.column_stack([np.linspace(0.0, 100.0, 60), np.full(60, 50.0)])
+    wanted = [labels.Label(f"part_{i}", (30.0, 9.0), np.array([[40.0 + 3.0 * i, 50.0]])) for i in range(5)]
+    places = labels.place(wanted, wall, (0.0, 0.0, 100.0, 100.0))
+    centers = np.array([spot.center for spot in places])
+    assert np.all(np.abs(centers[:, 1] - 50.0) >= 4.5)
+    for i in range(5):
+        away = np.abs(centers - centers[i]) >= np.array([29.99, 8.99])
+        away[i] = True
+        assert np.all(away.any(axis=1))
+
+
+def test_turning_reads_speeds_and_profiles():
+    drive = SCENE.rollers["drive_1"]
+    later = Profile(times=(0.0, 0.1), values=(0.0, 20.0))
+    assert outlines.turning(drive) == -1
+    assert outlines.turning(dataclasses.replace(drive, angular_speed=later)) == 1
+    assert outlines.turning(SCENE.rollers["idle"]) == 0
+
+
+def test_joined_guides_have_no_tips_where_they_meet():
+    corner = {
+        "a": LineGuide(start=(0.0, 0.0), end=(10.0, 0.0)),
+        "b": LineGuide(start=(10.0, 0.0), end=(20.0, 5.0)),
+    }
+    scene = normalise(Scene(guides=corner))
+    np.testing.assert_allclose(outlines.guide(scene, "a").tips, [[0.0, -0.5, 0.5]])
+
+
+def test_ticks_lie_behind_the_bearing_face():
+    arc = ArcGuide(center=(0.0, 0.0), radius=20.0, start_angle=0.0, sweep=90.0)
+    line = LineGuide(start=(0.0, 50.0), end=(30.0, 50.0))
+    scene = normalise(Scene(guides={"arc": arc, "line": line}))
+    assert np.all(np.hypot(*outlines.guide(scene, "arc").ticks[:, 1].T) > 20.5)
+    assert np.all(outlines.guide(scene, "line").ticks[:, 1, 1] < 49.0)
+
+
+def test_moved_turns_about_the_pivot():
+    turned = outlines.moved(np.array([[2.0, 1.0]]), (0.0, 3.0), np.pi / 2, (1.0, 1.0))
+    np.testing.assert_allclose(turned, [[1.0, 5.0]], atol=1e-12)
+    still = Motion(times=(0.0,), displacement=((0.0, 0.0),), rotation=(0.0,), pivot=(4.0, 5.0))
+    np.testing.assert_array_equal(outlines.pivot(LineGuide(start=(0, 0), end=(1, 0), motion=still)), [4.0, 5.0])
+
+
+def test_curvature_of_a_circle():
+    headings = np.deg2rad(90.0 - 6.0 * np.arange(8.0))  # turns left along the travel, lead bar first
+    np.testing.assert_allclose(outlines.curvature(headings, 2.0), np.deg2rad(6.0) / 2.0)
+
+
+def test_initial_nodes_lie_behind_the_leading_edge():
+    nodes = outlines.initial_nodes(SCENE.sheets["film"])
+    np.testing.assert_allclose(nodes[[0, -1]], [[15.0, 0.0], [-185.0, 0.0]], atol=1e-5)
