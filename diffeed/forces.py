@@ -337,9 +337,14 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
     return matrix, e.f_n @ gn + e.f_t @ gt
 
 
-STABILISE = 500.0
-"""1/s: rate at which an explicit step lets a clamp's error decay (Baumgarte). A fixed rate is part of the differential
-equation, so the order of the method is kept; one that grows as 1/h would see the errors of its own stages."""
+def _closing_rate(model: Model, bar: int) -> Array:
+    """1/s: rate at which an explicit step lets a clamp's error decay (Baumgarte).
+
+    The bending frequency of one bar of the sheet: below the fastest that a stable explicit step resolves, whatever the
+    units. A rate of the machine is part of the differential equation, so the order of the method is kept; one that grows
+    as 1/h would see the errors of its own stages.
+    """
+    return jnp.sqrt(model.wall_stiffness[bar] / model.bars.inertia[bar])
 
 
 def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> tuple[Array, Array]:
@@ -360,14 +365,15 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
     bias = by_direction((arm * w * w * c, arm * w * w * s, zero))
     target = by_direction(hold_target(hold, state.time + step.h * float(step.implicit)))
     wanted = by_direction(_hold_speed(hold, state))
+    rate = None if step.implicit else _closing_rate(model, k)
     columns, values = [], []
     for d in hold.rows:
         columns.append(jnp.zeros((3, model.layout.n_bars)).at[:, k].set(jnp.stack(rows[d])))
         error = target[d] - place[d]
-        if step.implicit:
+        if rate is None:
             closing = (error / step.h - speed[d]) / step.h
         else:
-            closing = STABILISE * STABILISE * error + 2.0 * STABILISE * (wanted[d] - speed[d])
+            closing = rate * rate * error + 2.0 * rate * (wanted[d] - speed[d])
         values.append(closing + bias[d])
     return jnp.stack(columns), jnp.stack(values)
 
