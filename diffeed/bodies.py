@@ -120,13 +120,11 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
 def _circles_at(model: Model, state: State, spin: Array) -> Rigid:
     """Circles without prescribed movements: rollers from the state, the rest still."""
     rollers, n = model.rollers, model.rollers.n_movable
-    ways = jnp.stack([rollers.dir_x, rollers.dir_y])
-    at = jnp.stack([rollers.x, rollers.y]).at[:, :n].add(ways * state.travel[None, :]) if n else (rollers.x, rollers.y)
     rest = model.circles.x.shape[0] - rollers.n
     still = jnp.zeros((rollers.n - n + rest,))
     return Rigid(
-        x=jnp.concatenate([at[0], model.circles.x[rollers.n :]]),
-        y=jnp.concatenate([at[1], model.circles.y[rollers.n :]]),
+        x=jnp.concatenate([rollers.x[:n] + rollers.dir_x * state.travel, rollers.x[n:], model.circles.x[rollers.n :]]),
+        y=jnp.concatenate([rollers.y[:n] + rollers.dir_y * state.travel, rollers.y[n:], model.circles.y[rollers.n :]]),
         vx=jnp.concatenate([rollers.dir_x * state.travel_rate, still]),
         vy=jnp.concatenate([rollers.dir_y * state.travel_rate, still]),
         w=jnp.concatenate([spin, jnp.zeros((rest,))]),

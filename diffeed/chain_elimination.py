@@ -9,11 +9,26 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from diffeed.model import Layout
-from diffeed.system import System
+from diffeed.smooth import solve_positive
+from diffeed.system import Answer, System
 
 
-def respond(system: System, layout: Layout, sides: Array) -> tuple[Array, Array, Array]:
-    """(columns, 3, bars) right-hand sides -> accelerations x, y, w, each (columns, bars). Column 0 carries the bias."""
+def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answer:
+    """Right-hand sides (sides, 3, bars) and (sides, border) -> accelerations. Side 0 carries the bias.
+
+    The rollers' own unknowns follow from a small Schur complement.
+    """
+    if system.border is None:
+        return Answer(*_chain(system, layout, sides), border)
+    k, columns = sides.shape[0], system.border.columns
+    found = _chain(system, layout, jnp.concatenate([sides, columns]))
+    moved = jnp.stack(found, axis=1).reshape(k + columns.shape[0], -1) @ columns.reshape(columns.shape[0], -1).T
+    z = solve_positive(system.border.matrix - moved[k:], (border - moved[:k]).T).T
+    return Answer(*(v[:k] - z @ v[k:] for v in found), z)
+
+
+def _chain(system: System, layout: Layout, sides: Array) -> tuple[Array, Array, Array]:
+    """The chain alone: (columns, 3, bars) -> x, y, w, each (columns, bars). Column 0 carries the bias."""
     bars, lx, ly, bx, by = system.bars, system.lever_x, system.lever_y, system.bias_x, system.bias_y
     columns = sides.shape[0]
     biased = jnp.zeros((columns, 1), lx.dtype).at[0].set(1.0)

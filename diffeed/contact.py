@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from diffeed.bodies import Bodies, Rigid
@@ -96,7 +97,8 @@ class Kept(NamedTuple):
     lines: Lines
     arcs: Arcs
     surface: Surface
-    roller: Array | None  # (rollers, slots, features) 1 where the slot holds the roller; None: rows are bodies
+    slot: Array | None  # (rollers, features) which slot holds the roller; None: rows are bodies
+    has_slot: Array  # and whether one does
 
     @property
     def n_circles(self) -> int:
@@ -107,6 +109,11 @@ class Kept(NamedTuple):
 def pick(values: Array, index: Array | None) -> Array:
     """(bodies,) -> (bodies, 1) or (slots, features)."""
     return values[:, None] if index is None else values[index]
+
+
+def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
+    """`pick` for several at once: one gather instead of many."""
+    return tuple(v[:, None] for v in values) if index is None else tuple(jnp.stack(values)[:, index])
 
 
 def keep_all(model: Model) -> Kept:
@@ -129,9 +136,10 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         width = model.layout.tail.shape[0]
         return jnp.concatenate([jnp.broadcast_to(r, (r.shape[0], width)) for r in rows])
 
-    hot = None
+    slot, has_slot = None, jnp.ones((), bool)
     if circles is not None:
-        hot = (circles[None] == jnp.arange(rollers.n, dtype=circles.dtype)[:, None, None]).astype(still.dtype)
+        hot = circles[None] == jnp.arange(rollers.n, dtype=circles.dtype)[:, None, None]
+        slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
     return Kept(
         circle_index=circles,
         line_index=lines,
@@ -144,7 +152,8 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         lines=jax.tree.map(lambda v: pick(v, lines), model.lines),
         arcs=jax.tree.map(lambda v: pick(v, arcs), model.arcs),
         surface=jax.tree.map(surface, model.surface),
-        roller=hot,
+        slot=slot,
+        has_slot=has_slot,
     )
 
 
@@ -177,7 +186,7 @@ def _near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
 
 def circles_near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
     """Bars (faces and end circles) against rollers, circle guides and tips."""
-    rigid = Rigid(*(pick(v, kept.circle_index) for v in world.circles))
+    rigid = Rigid(*picked(tuple(world.circles), kept.circle_index))
     near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
     return Closest(
         gap=near.gap - row.half_thickness,
@@ -239,11 +248,12 @@ def _end_circles(row: Features, near: Near, motion: Rigid | None, index: Array |
     return Closest(near.gap - row.half_thickness, near.nx, near.ny, near.weight, *arms, u_n, u_t, zero)
 
 
-def by_roller(model: Model, kept: Kept, values: Array, rollers: slice) -> Array:
-    """(rows, features) of circles -> (rollers, features): each roller's own row, or the sum of the slots that hold it."""
-    if kept.roller is None:
-        return values[rollers]
-    return jnp.sum(kept.roller[rollers] * values[None, : kept.n_circles], axis=1)
+def by_roller(kept: Kept, values: Array) -> Array:
+    """(k, rows, features) of circles -> (k, rollers, features): each roller's own row, or the slot that holds it."""
+    if kept.slot is None:
+        return values
+    held = jnp.take_along_axis(values, kept.slot[None], axis=1)
+    return jnp.where(kept.has_slot, held, 0.0)
 
 
 class RollerPairs(NamedTuple):
@@ -260,8 +270,9 @@ class RollerPairs(NamedTuple):
 def roller_contacts(model: Model, world: Bodies) -> RollerPairs:
     """Rollers against each other: a pinch rests on its drive when no sheet is there."""
     i, j = model.pair_index
-    a, b = Rigid(*(v[i] for v in world.circles)), Rigid(*(v[j] for v in world.circles))
     radius = model.rollers.radius
+    both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, np.concatenate([i, j])]
+    a, b = Rigid(*both[:, : len(i)]), Rigid(*both[:, len(i) :])
     near = point_circle(a.x, a.y, b.x, b.y, radius[j])
     gap = near.gap - radius[i]
     dvx, dvy = a.vx - b.vx, a.vy - b.vy

@@ -18,7 +18,8 @@ from diffeed.contact import Kept, Pairs, RollerPairs, by_roller, roller_contacts
 from diffeed.kinematics import Pose, from_nodes, pose
 from diffeed.model import Hold, Model
 from diffeed.state import State
-from diffeed.system import BarTerms, Border, System
+from diffeed.sums import up_to_centre
+from diffeed.system import BarTerms, Border, Clamped, System
 
 
 class Contacts(NamedTuple):
@@ -63,7 +64,8 @@ def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System
             lever_y=-half * at.c,
             bias_x=centripetal * at.c,
             bias_y=centripetal * at.s,
-            border=border(model, state, at, touching, step, kept) if model.n_border else None,
+            border=border(model, state, touching, step, kept) if model.n_border else None,
+            clamps=clamps(model, state, at, step) if model.holds else None,
         )
     return system, at, touching
 
@@ -124,11 +126,10 @@ def tension(state: State, step: Step) -> BarTerms | None:
 def joint_stretch(model: Model, at: Pose, net_x: Array, net_y: Array) -> Array:
     """(bars,) geometric stiffness per heading: half length times (pull at the front + pull at the rear).
 
-    `net_x`, `net_y`: net joint force on each bar. Running sums from the lead give the force at each joint; a sheet's
-    own sum is zero, so one running sum serves all sheets.
+    `net_x`, `net_y`: net joint force on each bar; sums from the lead give the force at each joint.
     """
-    sum_x, sum_y = jnp.cumsum(net_x), jnp.cumsum(net_y)
-    return -model.bars.half_length * (at.c * (2.0 * sum_x - net_x) + at.s * (2.0 * sum_y - net_y))
+    pull_x, pull_y = up_to_centre(model.layout, jnp.stack([net_x, net_y]))
+    return -2.0 * model.bars.half_length * (at.c * pull_x + at.s * pull_y)
 
 
 # --- loads and clamps ------------------------------------------------------------------------------------------------
@@ -219,30 +220,19 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
             e.a_n * rn * rn + e.a_t * rt * rt,
             step.h * pairs.turning,
         ]
-    fx, fy, fw, *matrix = from_nodes(model.layout, jnp.stack([jnp.sum(v, axis=0) for v in entries]))
+    # Stacked, then summed at once: summed one by one, each would compute the contact law again.
+    fx, fy, fw, *matrix = from_nodes(model.layout, jnp.sum(jnp.stack(entries), axis=1))
     if not step.implicit:
         return _terms(model, fx=fx, fy=fy, fw=fw)
     xx, xy, yy, xw, yw, ww, turning = matrix
     return BarTerms(xx, xy, yy, xw, yw, ww + step.h * turning, fx, fy, fw - turning * at.w)
 
 
-# --- the border: rollers and clamps ----------------------------------------------------------------------------------
+# --- rollers and clamps -----------------------------------------------------------------------------------------------
 
 
-def border(model: Model, state: State, at: Pose, touching: Contacts, step: Step, kept: Kept) -> Border:
-    """Travels, free spins and clamp reactions: their own terms and their coupling to the bars."""
-    columns, matrix, rhs = _roller_border(model, state, touching, step, kept)
-    for hold in model.holds:
-        more, values = _hold_rows(model, state, at, hold, step)
-        columns = jnp.concatenate([columns, more])
-        rhs = jnp.concatenate([rhs, values])
-    extra = rhs.shape[0] - matrix.shape[0]
-    return Border(columns, jnp.pad(matrix, ((0, extra), (0, extra))), rhs)
-
-
-def _roller_border(
-    model: Model, state: State, touching: Contacts, step: Step, kept: Kept
-) -> tuple[Array, Array, Array]:
+def border(model: Model, state: State, touching: Contacts, step: Step, kept: Kept) -> Border:
+    """Travels and free spins: their own terms and their coupling to the bars."""
     rollers, n_bars = model.rollers, model.layout.n_bars
     m, f = rollers.n_movable, rollers.n_free
     travel_diag, travel_force = _travel_terms(model, state, step)
@@ -256,7 +246,13 @@ def _roller_border(
     if touching.rollers is not None:
         more_matrix, more_rhs = _roller_on_roller(model, touching.rollers, step)
         matrix, rhs = matrix + more_matrix, rhs + more_rhs
-    return columns, matrix, rhs
+    return Border(columns, matrix, rhs)
+
+
+def clamps(model: Model, state: State, at: Pose, step: Step) -> Clamped:
+    """Rows of all clamps."""
+    rows = [_hold_rows(model, state, at, hold, step) for hold in model.holds]
+    return Clamped(*(jnp.concatenate(v) for v in zip(*rows, strict=True)))
 
 
 def _travel_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
@@ -288,34 +284,29 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     gt = kept.travel_x * circles.ny - kept.travel_y * circles.nx
     gs = -kept.spin_lever
     an, at, asp = e.a_n * gn, e.a_t * gt, e.a_t * gs
-
-    def total(values: Array, which: slice) -> Array:
-        return jnp.sum(by_roller(model, kept, values, which), axis=1)
-
-    matrix = jnp.diag(jnp.concatenate([total(an * gn + at * gt, move), total(asp * gs, free)]))
+    nx, ny, rn, rt = circles.nx, circles.ny, circles.rn, circles.rt
+    pairwise = [
+        an * nx - at * ny,
+        an * ny + at * nx,
+        an * rn + at * rt,
+    ]  # what a travel couples to the bar: x, y, turning
+    pairwise += [-asp * ny, asp * nx, asp * rt]  # and a spin
+    pairwise += [an * gn + at * gt, asp * gs, at * gs, e.f_n * gn + e.f_t * gt, e.f_t * gs]
+    felt_by = by_roller(kept, jnp.stack(pairwise))
+    columns = jnp.concatenate([felt_by[:3, move], felt_by[3:6, free]], axis=1).swapaxes(0, 1)
+    along, turning, cross, push, twist = jnp.sum(felt_by[6:], axis=2)
+    matrix = jnp.diag(jnp.concatenate([along[move], turning[free]]))
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
-        k, j = _both(rollers.counts)
-        cross = total(at * gs, both)
-        matrix = matrix.at[k, m + j].set(cross).at[m + j, k].set(cross)
-    rhs = jnp.concatenate([total(e.f_n * gn + e.f_t * gt, move), total(e.f_t * gs, free)])
-    columns = [
-        _column(model, kept, circles, an, at, move),
-        _column(model, kept, circles, jnp.zeros_like(asp), asp, free),
-    ]
-    return from_nodes(model.layout, jnp.concatenate(columns)), matrix, rhs
-
-
-def _column(model: Model, kept: Kept, pairs: Pairs, along: Array, across: Array, which: slice) -> Array:
-    """(rollers, 3, features): what `along` g_n + `across` g_t is at the bar."""
-    x, y = along * pairs.nx - across * pairs.ny, along * pairs.ny + across * pairs.nx
-    w = along * pairs.rn + across * pairs.rt
-    return jnp.stack([by_roller(model, kept, v, which) for v in (x, y, w)], axis=1)
+        at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in _both(rollers.counts))
+        mixed = (at_travel.T * cross[both]) @ at_spin
+        matrix = matrix + mixed + mixed.T
+    return from_nodes(model.layout, columns), matrix, jnp.concatenate([push[move], twist[free]])
 
 
 def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (travel, spin) of the rollers that have both."""
-    return counts[0] + np.arange(counts[1]), np.arange(counts[1])
+    """Border rows (travel, spin) of the rollers that have both."""
+    return counts[0] + np.arange(counts[1]), sum(counts[:2]) + np.arange(counts[1])
 
 
 def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
@@ -332,9 +323,10 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
         across = pairs.nx[:, None] * rollers.dir_y[None, :] - pairs.ny[:, None] * rollers.dir_x[None, :]
         gn = gn + side * at_travel * along
         gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
-    gn = jnp.pad(gn, ((0, 0), (0, f)))
-    matrix = gn.T @ (e.a_n[:, None] * gn) + gt.T @ (e.a_t[:, None] * gt)
-    return matrix, e.f_n @ gn + e.f_t @ gt
+    rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
+    weighed = jnp.concatenate([e.a_n, e.a_t])[:, None] * rows
+    found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([e.f_n, e.f_t])[:, None]], axis=1)
+    return found[:, :-1], found[:, -1]
 
 
 def _closing_rate(model: Model, bar: int) -> Array:

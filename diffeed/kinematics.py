@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.model import Layout, Model
-from diffeed.state import State, mean_per_sheet, spread
+from diffeed.state import State, spread
+from diffeed.sums import from_mean
 
 
 class Pose(NamedTuple):
@@ -26,18 +27,9 @@ def pose(model: Model, state: State) -> Pose:
     c, s = jnp.cos(state.heading), jnp.sin(state.heading)
     bar = 2.0 * model.bars.half_length
     turn = bar * state.rate
-    dx, dy, du, dv = _from_mass_centre(model.layout, jnp.stack([-bar * c, -bar * s, turn * s, -turn * c]))
+    dx, dy, du, dv = from_mean(model.layout, jnp.stack([-bar * c, -bar * s, turn * s, -turn * c]))
     here = [spread(model.layout, v) for v in (state.x, state.y, state.vx, state.vy)]
     return Pose(here[0] + dx, here[1] + dy, c, s, here[2] + du, here[3] + dv, state.rate)
-
-
-def _from_mass_centre(layout: Layout, steps: Array) -> Array:
-    """(k, bars) steps from front to rear node of each bar -> bar centres relative to their sheet's mass centre."""
-    from_lead = jnp.cumsum(steps, axis=1) - 0.5 * steps
-    if len(layout.bars) == 1:
-        return from_lead - jnp.mean(from_lead, axis=1, keepdims=True)
-    means = jnp.stack([mean_per_sheet(layout, row) for row in from_lead])
-    return from_lead - means[:, layout.sheet_of_bar]
 
 
 def to_nodes(layout: Layout, at_front: Array, at_rear: Array) -> Array:

@@ -277,8 +277,8 @@ class Model:
 
     @property
     def n_border(self) -> int:
-        """Unknowns beside the chain: travels, free spins, clamp rows."""
-        return self.rollers.n_movable + self.rollers.n_free + sum(len(h.rows) for h in self.holds)
+        """Unknowns beside the chain: travels and free spins."""
+        return self.rollers.n_movable + self.rollers.n_free
 
 
 def build(scene: Scene) -> Model:

@@ -5,7 +5,7 @@ Algebraic forms only (square roots, polynomials): cheaper than exp and tanh, and
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 
 def ramp(x: Array, width: Array) -> tuple[Array, Array]:
@@ -48,6 +48,13 @@ def norm(x: Array, y: Array) -> Array:
     square = x * x + y * y
     zero = square == 0
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
+def solve_positive(matrix: Array, sides: Array) -> Array:
+    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix whose lower triangle is given."""
+    root = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    half = lax.linalg.triangular_solve(root, sides, left_side=True, lower=True)
+    return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
 
 def step_down(x: Array, half_width: float) -> Array:

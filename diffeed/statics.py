@@ -83,7 +83,7 @@ def generalised_force(model: Model, state: State) -> Array:
     terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]
     terms += [pair_terms(model, touching.sheets, at, plain)] if touching.sheets is not None else []
     total = [sum((getattr(t, f) for t in terms if t is not None), jnp.zeros_like(at.x)) for f in ("fx", "fy", "fw")]
-    on_rollers = _force_on_rollers(model, state, at, touching, plain, kept)
+    on_rollers = _force_on_rollers(model, state, touching, plain, kept)
     _, pull_back = jax.vjp(lambda q: _centres(model, state, q), positions(model, state))
     (on_sheets,) = pull_back((total[0], total[1], total[2]))
     n = on_sheets.shape[0] - on_rollers.shape[0]
@@ -96,9 +96,9 @@ def _centres(model: Model, state: State, q: Array) -> tuple[Array, Array, Array]
     return at.x, at.y, moved.heading
 
 
-def _force_on_rollers(model: Model, state: State, at: Any, touching: Contacts, plain: Step, kept: Kept) -> Array:
+def _force_on_rollers(model: Model, state: State, touching: Contacts, plain: Step, kept: Kept) -> Array:
     free = model.rollers.n_movable + model.rollers.n_free
-    return border(model, state, at, touching, plain, kept).rhs[:free] if free else jnp.zeros((0,))
+    return border(model, state, touching, plain, kept).rhs if free else jnp.zeros((0,))
 
 
 def held_places(model: Model, state: State) -> tuple[Array, Array]:

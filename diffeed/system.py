@@ -1,7 +1,7 @@
 """The linear system of one step: what `forces` fills in and `chain_solve` solves.
 
 Unknowns: accelerations of every bar (x, y of its centre and turning), closed at the joints; beside them a small border
-of roller travels, free spins and clamp reactions.
+of roller travels and free spins, and the reactions of clamps.
 """
 
 from typing import NamedTuple
@@ -24,15 +24,32 @@ class BarTerms(NamedTuple):
 
 
 class Border(NamedTuple):
-    """Coupling to the unknowns beside the chain. `columns` (border, 3, bars), `matrix` (border, border), `rhs` (border,)."""
+    """Rollers beside the chain. `columns` (border, 3, bars), `matrix` (border, border), `rhs` (border,). With the chain
+    it forms one positive matrix."""
 
     columns: Array
     matrix: Array
     rhs: Array
 
 
+class Clamped(NamedTuple):
+    """Rows of the clamps: `columns` (clamps, 3, bars) times the accelerations of the bars must be `rhs` (clamps,)."""
+
+    columns: Array
+    rhs: Array
+
+
+class Answer(NamedTuple):
+    """What chain and rollers answer to several right-hand sides: (sides, bars) each, border (sides, border)."""
+
+    x: Array
+    y: Array
+    w: Array
+    border: Array
+
+
 class System(NamedTuple):
-    """[A U; U' Z][a; z] = [f; g] with the joints of the chain closed."""
+    """[A U C'; U' Z 0; C 0 0][a; z; r] = [f; g; c] with the joints of the chain closed."""
 
     bars: BarTerms
     coupling: Array  # (bars,): implicit stiffness of the joint behind each bar
@@ -41,12 +58,14 @@ class System(NamedTuple):
     bias_x: Array  # (bars,): centripetal acceleration of the centre seen from the front node
     bias_y: Array
     border: Border | None
+    clamps: Clamped | None
 
 
 class Solution(NamedTuple):
-    """Accelerations of bars (bars,) and of the border (border,)."""
+    """Accelerations of bars (bars,) and of the border (border,); reactions of the clamps (clamps,)."""
 
     x: Array
     y: Array
     w: Array
     border: Array
+    reaction: Array

@@ -19,7 +19,7 @@ RANKS = """
     check_records
     paths scene_file stacking
     model
-    state system
+    state system sums
     kinematics bodies
     contact
     candidates forces

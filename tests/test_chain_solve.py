@@ -7,11 +7,11 @@ import pytest
 
 from diffeed import chain_dense, chain_elimination, chain_solve
 from diffeed.model import Layout
-from diffeed.system import BarTerms, Border, System
+from diffeed.system import BarTerms, Border, Clamped, System
 
 
-def random_system(layout: Layout, seed: int, columns: int) -> System:
-    """Random positive blocks, joints and border."""
+def random_system(layout: Layout, seed: int, columns: int, clamps: int = 0) -> System:
+    """Random positive blocks, joints, border and clamps."""
     rng = np.random.default_rng(seed)
     n = layout.n_bars
     root = rng.normal(size=(n, 3, 3))
@@ -23,8 +23,9 @@ def random_system(layout: Layout, seed: int, columns: int) -> System:
     border = None
     if columns:
         square = rng.normal(size=(columns, columns))
-        matrix = square @ square.T + 5.0 * n * np.eye(columns)
+        matrix = square @ square.T + 50.0 * n * np.eye(columns)  # heavy enough for the whole to be positive
         border = Border(*map(jnp.asarray, (rng.normal(size=(columns, 3, n)), matrix, rng.normal(size=columns))))
+    held = Clamped(*map(jnp.asarray, (rng.normal(size=(clamps, 3, n)), rng.normal(size=clamps)))) if clamps else None
     return System(
         bars=BarTerms(*map(jnp.asarray, (*entries, *rng.normal(size=(3, n))))),
         coupling=jnp.asarray(coupling),
@@ -33,6 +34,7 @@ def random_system(layout: Layout, seed: int, columns: int) -> System:
         bias_x=jnp.asarray(rng.normal(size=n)),
         bias_y=jnp.asarray(rng.normal(size=n)),
         border=border,
+        clamps=held,
     )
 
 
@@ -63,10 +65,14 @@ def constrained_solve(system: System, layout: Layout) -> np.ndarray:
             rows.append(row)
             closing.append(-bias[i] - bias[i + 1])
     joints = np.array(rows).reshape(-1, size)
-    columns = np.zeros((0, size)) if system.border is None else np.asarray(system.border.columns).transpose(0, 2, 1)
-    columns = columns.reshape(-1, size)
-    own = np.zeros((0, 0)) if system.border is None else np.asarray(system.border.matrix)
-    more = np.zeros(0) if system.border is None else np.asarray(system.border.rhs)
+    columns, own, more = np.zeros((0, size)), np.zeros((0, 0)), np.zeros(0)
+    if system.border is not None:
+        columns = np.asarray(system.border.columns).transpose(0, 2, 1).reshape(-1, size)
+        own, more = np.asarray(system.border.matrix), np.asarray(system.border.rhs)
+    if system.clamps is not None:
+        held = np.asarray(system.clamps.columns).transpose(0, 2, 1).reshape(-1, size)
+        columns, more = np.concatenate([columns, held]), np.concatenate([more, np.asarray(system.clamps.rhs)])
+        own = np.pad(own, (0, len(held)))
     m, c = len(joints), len(columns)
     full = np.block(
         [
@@ -80,13 +86,14 @@ def constrained_solve(system: System, layout: Layout) -> np.ndarray:
 
 @pytest.mark.parametrize("bars", [(1,), (2,), (7,), (3, 1, 4)])
 @pytest.mark.parametrize("columns", [0, 1, 3])
+@pytest.mark.parametrize("clamps", [0, 1, 3])
 @pytest.mark.parametrize("way", [chain_dense, chain_elimination])
-def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, way):
+def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, clamps, way):
     layout = Layout(tuple(f"s{k}" for k in range(len(bars))), bars)
-    system = random_system(layout, 7 * sum(bars) + columns, columns)
+    system = random_system(layout, 7 * sum(bars) + columns, columns, clamps)
     monkeypatch.setattr(chain_solve, "DENSE_UP_TO", 10_000 if way is chain_dense else 0)
     found = chain_solve.solve(system, layout)
-    flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border])
+    flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border, found.reaction])
     np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
 
 
@@ -94,7 +101,8 @@ def test_long_chain_keeps_its_digits():
     layout = Layout(("s",), (300,))
     system = random_system(layout, 1, 2)
     sides = jnp.stack([system.bars.fx, system.bars.fy, system.bars.fw])[None]
-    slow = chain_dense.respond(system, layout, sides)
-    fast = jax.jit(chain_elimination.respond, static_argnums=1)(system, layout, sides)
+    border = system.border.rhs[None]
+    slow = chain_dense.respond(system, layout, sides, border)
+    fast = jax.jit(chain_elimination.respond, static_argnums=1)(system, layout, sides, border)
     for a, b in zip(slow, fast, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10 * float(jnp.max(jnp.abs(a))))

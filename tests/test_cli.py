@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -248,10 +249,14 @@ def interrupted(place: Path, moment: bytes, *arguments: str) -> tuple[int, str, 
     try:
         seen = read_until(master, moment)
         process.send_signal(signal.SIGINT)
-        stdout, _ = process.communicate(timeout=240)
-        seen += read_rest(master)
+        # A terminal that nobody reads fills up, and then holds up the one who writes to it.
+        with ThreadPoolExecutor(1) as reader:
+            rest = reader.submit(read_rest, master)
+            stdout, _ = process.communicate(timeout=60)
+            seen += rest.result(timeout=10)
     finally:
         process.kill()
+        process.wait()
         os.close(master)
     return process.returncode, stdout, seen.decode()
 

@@ -1,0 +1,111 @@
+"""From the unit vector that the search moves to the scene that is simulated, and back.
+
+Each variable is one entry u of the vector. It stands for the physical value x(u) = lower + u (upper - lower), or the same
+in the logarithm; the search keeps u in [0, 1], either by projection or through u = (1 + z/sqrt(1 + z^2))/2.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import diffeed
+from optimize.study import Variable
+
+PLACES = ("center", "start", "end")
+"""Fields that say where a part stands."""
+
+
+def physical(variables: Sequence[Variable], unit: Array) -> Array:
+    """(..., n) unit values -> (..., n) values in the variables' own units."""
+    low, high, log = _bounds(variables)
+    straight = low + unit * (high - low)
+    safe = np.where(log, low, 1.0)
+    ratio = np.where(log, high / safe, 1.0)
+    return jnp.where(log, safe * ratio**unit, straight)
+
+
+def unit(variables: Sequence[Variable], values: Any) -> np.ndarray:
+    """The inverse of `physical`."""
+    low, high, log = _bounds(variables)
+    values = np.asarray(values, dtype=float)
+    safe = np.where(log, values, 1.0)
+    straight = (values - low) / (high - low)
+    base = np.where(log, low, 1.0)
+    return np.where(log, np.log(safe / base) / np.log(np.where(log, high / base, math.e)), straight)
+
+
+def _bounds(variables: Sequence[Variable]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    low, high = np.array([v.bounds for v in variables], dtype=float).T
+    return low, high, np.array([v.transform == "log" for v in variables])
+
+
+def opened(u: Any) -> Any:
+    """[0, 1] -> the whole line, for searches that cannot project. The ends are pulled in by 1e-3."""
+    s = 2.0 * jnp.clip(u, 1e-3, 1.0 - 1e-3) - 1.0
+    return s / jnp.sqrt(1.0 - s * s)
+
+
+def closed(z: Any) -> Any:
+    """The inverse of `opened`: algebraic, so that it neither overflows nor saturates early."""
+    return 0.5 * (1.0 + z / jnp.sqrt(1.0 + z * z))
+
+
+def start_of(variable: Variable, scene: diffeed.Scene) -> float:
+    """Where a variable starts: its `start`, else the value in the scene (the mean of several), else no movement."""
+    if variable.start is not None:
+        return variable.start
+    if not variable.paths:
+        return 0.0
+    return float(np.mean([float(diffeed.get(scene, p)) for p in variable.paths]))
+
+
+def applied(scene: diffeed.Scene, variables: Sequence[Variable], values: Array) -> diffeed.Scene:
+    """The scene with every variable at its value, (n,). Movements add up: a nip may shift and turn."""
+    for variable, value in zip(variables, values, strict=True):
+        for path in variable.paths:
+            scene = diffeed.put(scene, path, value)
+        for part in variable.shift or ():
+            scene = _shifted(scene, part, variable.direction, value)
+        for part in variable.turn or ():
+            scene = _turned(scene, part, variable.about, value)
+    return scene
+
+
+def _shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> diffeed.Scene:
+    way = np.asarray(direction, dtype=float)
+    way = way / np.linalg.norm(way)
+    for path in places(scene, part):
+        scene = diffeed.put(scene, path, diffeed.get(scene, path) + value * way)
+    return scene
+
+
+def _turned(scene: diffeed.Scene, part: str, about: Any, value: Array) -> diffeed.Scene:
+    pivot, angle = np.asarray(about, dtype=float), jnp.deg2rad(value)
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    for path in places(scene, part):
+        x, y = diffeed.get(scene, path) - pivot
+        scene = diffeed.put(scene, path, pivot + jnp.stack([c * x - s * y, s * x + c * y]))
+    held = diffeed.get(scene, part)
+    if hasattr(held, "start_angle"):
+        scene = diffeed.put(scene, f"{part}.start_angle", held.start_angle + value)
+    if hasattr(held, "direction"):  # the travel of a pinch roller turns with its nip
+        x, y = held.direction
+        scene = diffeed.put(scene, f"{part}.direction", jnp.stack([c * x - s * y, s * x + c * y]))
+    return scene
+
+
+def places(scene: diffeed.Scene, part: str) -> list[str]:
+    """Paths of the points that place a roller or guide."""
+    held = diffeed.get(scene, part)
+    return [f"{part}.{name}" for name in PLACES if hasattr(held, name)]
+
+
+def unit_text(scene: diffeed.Scene, variable: Variable) -> str:
+    """The unit of a variable."""
+    if variable.shift:
+        return "mm"
+    return "deg" if variable.turn else diffeed.unit(scene, variable.paths[0])
