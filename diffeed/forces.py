@@ -299,7 +299,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
         at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in _both(rollers.counts))
-        mixed = (at_travel.T * cross[both]) @ at_spin
+        mixed = (at_travel.T * cross[both][None]) @ at_spin
         matrix = matrix + mixed + mixed.T
     return from_nodes(model.layout, columns), matrix, jnp.concatenate([push[move], twist[free]])
 
