@@ -1,6 +1,7 @@
 """The command `diffeed`. Heavy imports stay inside the commands: a help text must come at once."""
 
 import os
+import signal
 import sys
 import threading
 import time
@@ -209,6 +210,7 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     except KeyboardInterrupt:
         if not progress.pieces:
             raise
+        _interrupted.clear()
         progress.stopped = True
     tuning.compile_quickly(True)
     return progress
@@ -328,19 +330,34 @@ def _patiently(function: Callable[[], T]) -> T:
     worker.start()
     while worker.is_alive():
         worker.join(0.5)
+        if _interrupted.is_set():
+            raise KeyboardInterrupt
     if errors:
         raise errors[0]
     return results[0]
 
 
+_interrupted = threading.Event()
+"""Ctrl-C was pressed and not yet answered: an exception raised inside a callback of a library may be lost there."""
+
+
 @contextmanager
 def _stoppable() -> Iterator[None]:
     """Ctrl-C ends the command where it stands."""
+
+    def interrupt(*_: Any) -> None:
+        _interrupted.set()
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     except KeyboardInterrupt:
         _say("stopped by Ctrl-C; nothing was written")
         _leave_at_once(130)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        _interrupted.clear()
 
 
 def _leave_at_once(status: int) -> None:
