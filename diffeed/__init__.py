@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from diffeed.check_records import SceneError
     from diffeed.check_records import make_scene as scene
     from diffeed.examine import check
+    from diffeed.gradient_faults import explain_gradient
+    from diffeed.gradient_trust import GradientCheck, check_function, gradient_check
+    from diffeed.gradients import gradient_plan, value_and_gradient
     from diffeed.observe import OBSERVERS
     from diffeed.parts import (
         ArcGuide,
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
         Sheet,
         SinglePrecision,
     )
-    from diffeed.paths import get, numbers, put
+    from diffeed.paths import get, numbers, put, unit
     from diffeed.rollout import simulate
     from diffeed.scene_file import load_scene, save_scene, shipped_scenes
     from diffeed.stacking import stack
@@ -48,6 +51,7 @@ __all__ = [
     "Clamp",
     "Contact",
     "FixedRoller",
+    "GradientCheck",
     "LineGuide",
     "Linearisation",
     "Load",
@@ -62,7 +66,11 @@ __all__ = [
     "State",
     "Trajectory",
     "check",
+    "check_function",
+    "explain_gradient",
     "get",
+    "gradient_check",
+    "gradient_plan",
     "linearise",
     "load_scene",
     "measures",
@@ -74,11 +82,16 @@ __all__ = [
     "shipped_scenes",
     "simulate",
     "stack",
+    "unit",
+    "value_and_gradient",
 ]
 
 _MODULES = {
     "check_records": ("SceneError",),
     "examine": ("check",),
+    "gradient_trust": ("GradientCheck", "check_function", "gradient_check"),
+    "gradient_faults": ("explain_gradient",),
+    "gradients": ("gradient_plan", "value_and_gradient"),
     "observe": ("OBSERVERS",),
     "parts": (
         "ArcGuide",
@@ -96,7 +109,7 @@ _MODULES = {
         "Sheet",
         "SinglePrecision",
     ),
-    "paths": ("get", "numbers", "put"),
+    "paths": ("get", "numbers", "put", "unit"),
     "rollout": ("simulate",),
     "scene_file": ("load_scene", "save_scene", "shipped_scenes"),
     "stacking": ("stack",),

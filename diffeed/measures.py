@@ -13,6 +13,8 @@ import numpy as np
 from jax import Array
 
 from diffeed.energy import energies
+from diffeed.margin import jam_margin as jam_margin
+from diffeed.margin import jam_margins as jam_margins
 from diffeed.model import Model, build, is_driven
 from diffeed.observe import commanded_speed
 from diffeed.parts import Scene, normalise

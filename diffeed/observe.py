@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed import spans
 from diffeed.bodies import Bodies
 from diffeed.energy import Powers, powers
 from diffeed.forces import Contacts
@@ -328,4 +329,5 @@ OBSERVERS: dict[str, Observer] = {
     "gaps": Observer(_gaps_start, _gaps_update, _gaps_close),
     "curvature": Observer(_curvature_start, _curvature_update, _curvature_close),
     "feed": Observer(_feed_start, _feed_update, _feed_close),
+    "spans": Observer(spans.start, spans.update, spans.close),
 }

@@ -44,6 +44,19 @@ def put(scene: T, path: str, value: Any) -> T:
     return _put(scene, names, 0, path, lambda old, f: _changed(old, f, index, value, path))
 
 
+def unit(scene: Scene, path: str) -> str:
+    """The unit of the number at a path."""
+    names, _ = _split(path)
+    get(scene, path)
+    node, found = scene, None
+    for name in names:
+        found = _field(node, name) or found
+        node = _children(node)[name]
+    if found is None or found.metadata["role"] != "number":
+        raise PathError(f'"{path}" is not a number')
+    return found.metadata["unit"]
+
+
 def numbers(scene: Any) -> dict[str, Any]:
     """Path and value of every number that is given, entry by entry, in the order of the records."""
     return dict(_walk("", scene))

@@ -51,10 +51,17 @@ def norm(x: Array, y: Array) -> Array:
 
 
 def solve_positive(matrix: Array, sides: Array) -> Array:
-    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix whose lower triangle is given."""
-    root = lax.linalg.cholesky(matrix, symmetrize_input=False)
-    half = lax.linalg.triangular_solve(root, sides, left_side=True, lower=True)
-    return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
+    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix.
+
+    Differentiated as a solution (one more solve with the same factor), not through the factorisation.
+    """
+    root = lax.linalg.cholesky(lax.stop_gradient(matrix), symmetrize_input=False)
+
+    def solve(_: object, rhs: Array) -> Array:
+        half = lax.linalg.triangular_solve(root, rhs, left_side=True, lower=True)
+        return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
+
+    return lax.custom_linear_solve(lambda x: matrix @ x, sides, solve, symmetric=True)
 
 
 def step_down(x: Array, half_width: float) -> Array:

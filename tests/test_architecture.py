@@ -29,14 +29,17 @@ RANKS = """
     steppers
     trajectory energy
     snapshot
+    spans
     observe
+    margin
     statics
     rollout examine
     pieces
-    measures
+    measures gradients
     labels outlines plot_style player_data
     plot_machine
     plot player
+    gradient_trust gradient_faults
     report outputs
     bench cli
     __init__

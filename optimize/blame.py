@@ -1,0 +1,107 @@
+"""The blame map: which part to move which way for how much gain, and when the sensitivity arises.
+
+The gradient of the objective with respect to every place of every roller and guide comes from one reverse pass. To see
+when it arises, the run is cut into spans of time, each with a copy of the scene of its own: the derivative with respect to
+the copy of a span is what moving the part during that span would do. The spans add up to the whole.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import diffeed
+from optimize.problem import Problem, objective_of, simulate, values_of
+
+
+class Blame(NamedTuple):
+    """Derivatives of the objective per mm: `places` path -> (2,), `sizes` path -> one number (radii)."""
+
+    objective: float
+    places: dict[str, np.ndarray]
+    sizes: dict[str, float]
+
+
+class Arising(NamedTuple):
+    """(parts, spans) magnitude of the sensitivity to each part's place by span of time."""
+
+    parts: tuple[str, ...]
+    edges: np.ndarray  # (spans + 1,) s
+    share: np.ndarray
+
+
+def blame(problem: Problem, unit: np.ndarray, medium: int = 0) -> Blame:
+    """Where the objective would fall if parts were moved."""
+    scene = problem.scene(unit, medium)
+
+    def of(scene: diffeed.Scene) -> Array:
+        return objective_of(problem, values_of(problem.goals, scene, simulate(problem, scene)))
+
+    value, slope = jax.jit(jax.value_and_grad(of))(scene)
+    places, sizes = {}, {}
+    for part in parts_of(scene):
+        held = diffeed.get(slope, part)
+        for name in ("center", "start", "end"):
+            if hasattr(held, name):
+                places[f"{part}.{name}"] = np.asarray(getattr(held, name))
+        if hasattr(held, "radius"):
+            sizes[f"{part}.radius"] = float(held.radius)
+    return Blame(float(value), places, sizes)
+
+
+def parts_of(scene: diffeed.Scene) -> list[str]:
+    """Paths of all rollers and guides."""
+    return [f"{section}.{name}" for section in ("rollers", "guides") for name in sorted(getattr(scene, section))]
+
+
+def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0) -> Arising:
+    """When the sensitivity to each part arises."""
+    scene = problem.scene(unit, medium)
+    study = problem.study
+    duration = study.duration or scene.duration
+    piece = duration / spans
+
+    def of(copies: diffeed.Scene) -> Array:
+        first = jax.tree.map(lambda v: v[0], copies)
+        begun = diffeed.simulate(
+            first, piece, study.dt, 2, study.method, observe=problem.observe
+        )
+
+        def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, None]:
+            run = diffeed.simulate(copy, piece, study.dt, 2, study.method, initial=resume, observe=problem.observe)
+            return run.final, None
+
+        rest = jax.tree.map(lambda v: v[1:-1], copies)
+        resume, _ = jax.lax.scan(jax.checkpoint(go_on), begun.final, rest)
+        last = jax.tree.map(lambda v: v[-1], copies)
+        run = diffeed.simulate(last, piece, study.dt, 2, study.method, initial=resume, observe=problem.observe)
+        return objective_of(problem, values_of(problem.goals, last, run))
+
+    copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)
+    slope = jax.jit(jax.grad(of))(copies)
+    parts = tuple(parts_of(scene))
+    share = np.stack([_size(diffeed.get(slope, part)) for part in parts])
+    return Arising(parts, np.linspace(0.0, duration, spans + 1), share)
+
+
+def _size(held: Any) -> np.ndarray:
+    """(spans,) length of the derivative with respect to a part's places and radius."""
+    found = [np.asarray(getattr(held, n)) for n in ("center", "start", "end") if hasattr(held, n)]
+    total = sum(np.sum(v**2, axis=-1) for v in found)
+    return np.sqrt(total)
+
+
+def gain_of(found: Blame, step: float = 0.1) -> list[tuple[str, np.ndarray, float]]:
+    """(path, unit direction that lowers the objective, gain of a step of that many mm), the largest first."""
+    rows = []
+    for path, slope in found.places.items():
+        size = float(np.linalg.norm(slope))
+        if size > 0 and np.isfinite(size):
+            rows.append((path, -slope / size, size * step))
+    return sorted(rows, key=lambda r: -r[2])
+
+
+Watch = Callable[..., None]

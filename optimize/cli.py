@@ -1,0 +1,177 @@
+"""The command `python -m optimize`. Heavy imports stay inside the commands: a help text must come at once."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+STUDY = click.argument("study")
+
+
+class Refusal(click.ClickException):
+    """Nothing was run or written: the reason, and status 2."""
+
+    exit_code = 2
+
+    def show(self, file: Any = None) -> None:
+        click.echo(self.message, err=True)
+
+
+@click.group(context_settings=SETTINGS)
+def main() -> None:
+    """Improve a machine by the gradient of its simulation.
+
+    A STUDY is the name of a shipped study or a TOML file: a scene, what may change, what is wanted, what must hold.
+    """
+
+
+@main.command(context_settings=SETTINGS)
+@STUDY
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the improved scene, pictures and the search.")
+@click.option("--resume", is_flag=True, help="Go on with the search that stopped in --out.")
+@click.option("--force", is_flag=True, help="Replace a search that is already in --out.")
+@click.option("--iterations", type=click.IntRange(1), help="Instead of the study's.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Stop after this time.")
+@click.option("--no-pictures", is_flag=True, help="Write the scene and the numbers only.")
+def design(
+    study: str, out: Path | None, resume: bool, force: bool, iterations: int | None, seconds: float | None, no_pictures: bool
+) -> None:
+    """Search for a better machine.
+
+    \b
+    Examples:
+      python -m optimize design nip_slip --out better
+      python -m optimize design nip_slip --out better --resume --iterations 100
+      python -m optimize design my_study.toml --seconds 60 --out better
+    """
+    if resume and out is None:
+        raise Refusal("--resume needs --out, the folder of the search")
+    problem = _problem(study, _changes(iterations, seconds))
+    from optimize.design import design as run
+    from optimize.journal import JournalError
+    from optimize.report import print_result, write_result
+
+    with _bar(problem) as show, _refusing(JournalError):
+        result = run(problem, out, resume, force, show)
+    print_result(_console(), result)
+    if out:
+        names = write_result(out, result, not no_pictures)
+        click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
+
+
+@main.command(context_settings=SETTINGS)
+@STUDY
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the table and the plots.")
+@click.option("--samples", type=click.IntRange(8, 4096), default=64, show_default=True, help="Runs for each trend.")
+def check(study: str, out: Path | None, samples: int) -> None:
+    """May the gradients of a study be believed? Both modes, differences, and the trend over a designer's step.
+
+    \b
+    Example:
+      python -m optimize check nip_slip
+    """
+    problem = _problem(study, {})
+    from optimize.trust import check_study
+
+    found = check_study(problem, samples)
+    click.echo(str(found))
+    if out:
+        from optimize.trust import write_check
+
+        click.echo(f"written to {out}: {', '.join(write_check(out, found))}")
+
+
+@main.command(context_settings=SETTINGS)
+@STUDY
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for comparison.json and comparison.png.")
+@click.option("--budget", type=click.IntRange(10), default=1500, show_default=True, help="Most simulations of each search.")
+def compare(study: str, out: Path | None, budget: int) -> None:
+    """Simulations that the gradient needs, beside differential evolution and Nelder-Mead on the same objective.
+
+    \b
+    Example:
+      python -m optimize compare nip_slip --budget 500
+    """
+    problem = _problem(study, {})
+    from optimize.compare import compare as run
+    from optimize.compare import table, write_comparison
+
+    found = run(problem, budget, lambda text: click.echo(text, err=True))
+    click.echo(table(found))
+    if out:
+        click.echo(f"written to {out}: {', '.join(write_comparison(out, found))}")
+
+
+@main.command(context_settings=SETTINGS)
+def studies() -> None:
+    """List the studies that come with the package."""
+    from optimize.study_file import load_study, shipped_studies
+
+    for name in sorted(shipped_studies()):
+        click.echo(f"{name}\n  {load_study(name).title}")
+
+
+def _changes(iterations: int | None, seconds: float | None) -> dict[str, Any]:
+    given = {"iterations": iterations, "seconds": seconds}
+    return {k: v for k, v in given.items() if v is not None}
+
+
+def _problem(where: str, changes: dict[str, Any]) -> Any:
+    import jax
+
+    from diffeed import tuning
+
+    jax.config.update("jax_enable_x64", True)
+    if problem := tuning.keep_compilations():
+        click.echo(problem, err=True)
+    from optimize.problem import StudyError, make_problem
+    from optimize.study_file import load_study
+
+    with _refusing(StudyError):
+        study = load_study(where)
+        if changes:
+            found = study.search.model_copy(update=changes)
+            if "iterations" in changes and found.stages:
+                last = found.stages[-1].model_copy(update={"iterations": changes["iterations"]})
+                found = found.model_copy(update={"stages": [*found.stages[:-1], last]})
+            study = study.model_copy(update={"search": found})
+        click.echo(f"{where}: checking and compiling (takes longest the first time)", err=True)
+        return make_problem(study, where)
+
+
+@contextmanager
+def _bar(problem: Any) -> Iterator[Callable[..., None]]:
+    """A progress bar with the objective, in a terminal only."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optimize.descent import stages_of
+
+    console = _console(stderr=True)
+    columns = (TextColumn("{task.fields[done]}"), BarColumn(), TimeRemainingColumn())
+    total = sum(s.iterations for s in stages_of(problem))
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=total, done="compiling")
+
+        def show(problem: Any, progress: Any, line: Any) -> None:
+            kept = "" if line.violation <= 0.01 else f", limits missed by {line.violation:.2g}"
+            bar.update(task, completed=line.iteration, done=f"{line.iteration} of {total}: objective {line.objective:.5g}{kept}")
+
+        yield show
+
+
+def _console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+
+@contextmanager
+def _refusing(*kinds: type[Exception]) -> Iterator[None]:
+    """These errors are the user's to mend: their text, no traceback."""
+    try:
+        yield
+    except kinds as error:
+        raise Refusal(str(error)) from error

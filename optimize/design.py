@@ -1,0 +1,133 @@
+"""The design loop from end to end: search, score at the study's own settings, pick, and say what changed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+import diffeed
+from diffeed import measures
+from optimize import variables as free
+from optimize.descent import Line, Progress, begin, search
+from optimize.evaluate import Evaluator
+from optimize.journal import Journal
+from optimize.problem import SLACK, Problem, Seen, Settings, make_problem, over_media, simulate
+from optimize.study import Study
+
+VERDICT = ("arrivals", "feed", "nips", "energy", "gaps", "curvature")
+"""Observed in the runs before and after, for verdict and tables."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A point at the study's own settings: no easing, full length, no noise."""
+
+    unit: np.ndarray
+    values: dict[str, float]
+    goals: np.ndarray  # (media, goals)
+    limits: np.ndarray  # (media, limits)
+    objective: float
+    violation: float  # largest, in the limits' scales; <= 0: kept
+    verdicts: tuple[measures.Verdict, ...]  # per medium
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Sorts the better first: passes, keeps the limits, low objective."""
+        kept = self.violation <= SLACK
+        return (any(v.status != "passed" for v in self.verdicts), not kept, self.objective if kept else self.violation)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a search gave."""
+
+    problem: Problem
+    before: Scored
+    after: Scored
+    progress: Progress
+    history: list[dict[str, Any]]
+    reason: str
+
+    @property
+    def scene(self) -> diffeed.Scene:
+        """The improved scene (of the first medium)."""
+        return self.problem.scene(self.after.unit)
+
+    @property
+    def improved(self) -> bool:
+        return self.after.rank < self.before.rank
+
+
+def design(
+    study: Study | Problem,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    watch: Callable[[Problem, Progress, Line], None] = lambda problem, progress, line: None,
+    scene: diffeed.Scene | None = None,
+) -> Result:
+    """Improve a machine as a study asks. With a `folder` every iteration is kept there and `resume` goes on with it.
+
+    Ctrl-C ends the search, not the result: the best point so far is scored and returned. `scene` replaces the study's.
+    Raises StudyError for a study that cannot be used, JournalError for a folder that cannot.
+    """
+    problem = study if isinstance(study, Problem) else make_problem(study, scene=scene)
+    journal = Journal(Path(folder), problem) if folder is not None else None
+    progress = journal.start(resume, force) if journal else begin(problem)
+    history: list[dict[str, Any]] = []
+    try:
+        for progress, line in search(problem, progress, journal.save if journal else lambda p, line: None):  # noqa: B007
+            history.append(line._asdict())
+            watch(problem, progress, line)
+    except KeyboardInterrupt:
+        progress.reason = f"stopped by hand after {progress.iteration} iterations"
+    finally:
+        if journal:
+            journal.close()
+    return finish(problem, progress, history)
+
+
+def finish(problem: Problem, progress: Progress, history: list[dict[str, Any]]) -> Result:
+    """Score the start and the best point of every start, and take the best of them."""
+    points = np.unique(np.concatenate([problem.start[None], progress.best]), axis=0)
+    seen = Evaluator(problem).values(points, Settings())
+    order = np.argsort([_first_rank(problem, seen, k) for k in range(len(points))], axis=0)[:, 0] if len(points) > 1 else [0]
+    order = sorted(range(len(points)), key=lambda k: _first_rank(problem, seen, k))
+    scored = [score(problem, points[k], seen, k) for k in order[:4]]
+    at_start = next(k for k in range(len(points)) if np.array_equal(points[k], problem.start))
+    before = score(problem, problem.start, seen, at_start)
+    after = min([*scored, before], key=lambda s: s.rank)
+    return Result(problem, before, after, progress, history, progress.reason)
+
+
+def _first_rank(problem: Problem, seen: Seen, k: int) -> tuple[bool, bool, float]:
+    violation = float(seen.violation[k].max(initial=-1.0))
+    objective = float(over_media(problem, jnp.asarray(seen.objective[k])))
+    bad = not seen.ok[k].all() or not np.isfinite(objective)
+    return (bad, violation > SLACK, objective if violation <= SLACK else violation)
+
+
+def score(problem: Problem, unit: np.ndarray, seen: Seen, k: int) -> Scored:
+    """A point with its verdicts, each from a run of its own."""
+    verdicts = []
+    for medium in range(len(problem.media)):
+        scene = problem.scene(unit, medium)
+        verdicts.append(measures.verdict(scene, run_of(problem, unit, medium)))
+    values = free.physical(problem.variables, jnp.asarray(unit))
+    return Scored(
+        unit=np.asarray(unit),
+        values=dict(zip(problem.names, map(float, values), strict=True)),
+        goals=np.asarray(seen.goals[k]),
+        limits=np.asarray(seen.limits[k]),
+        objective=float(over_media(problem, jnp.asarray(seen.objective[k]))),
+        violation=float(seen.violation[k].max(initial=-1.0)),
+        verdicts=tuple(verdicts),
+    )
+
+
+def run_of(problem: Problem, unit: np.ndarray, medium: int = 0) -> Any:
+    """The run of a point, for pictures and verdict."""
+    return simulate(problem, problem.scene(unit, medium), None, VERDICT)

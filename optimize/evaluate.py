@@ -1,0 +1,115 @@
+"""The compiled evaluation of a problem: values and gradients of many points at once."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from optimize.problem import Problem, Seen, Settings, loss
+
+TOGETHER = 16
+"""Points that are computed at once: more fall out of the processor's cache."""
+FEW = 3
+"""Variables up to which forward mode is used."""
+
+
+class Evaluated(NamedTuple):
+    """Points (points, n): loss (points,), gradient (points, n), what was seen (points, media, ...)."""
+
+    value: np.ndarray
+    gradient: np.ndarray
+    seen: Seen
+
+
+class Counts(NamedTuple):
+    """What was spent: simulations (one medium, forward) and gradients (one medium)."""
+
+    simulations: int = 0
+    gradients: int = 0
+
+    def plus(self, simulations: int, gradients: int) -> "Counts":
+        return Counts(self.simulations + simulations, self.gradients + gradients)
+
+
+class Evaluator:
+    """Compiled functions of one problem, one per run length. With `samples`, the expected gradient: the mean over
+    points drawn around each (the same draws for all points and iterations)."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.counts = Counts()
+        search = problem.study.search
+        self.draws = np.zeros((1, len(problem.names)))
+        if search.gradient == "expected":
+            rng = np.random.default_rng(search.seed)
+            half = rng.normal(size=((search.samples + 1) // 2, len(problem.names)))
+            self.draws = np.concatenate([half, -half])[: search.samples] * problem.tolerance  # antithetic
+        self._compiled: dict[float | None, object] = {}
+        self._plain: dict[float | None, object] = {}
+
+    def gradients(self, unit: np.ndarray, multipliers: np.ndarray, penalty: np.ndarray, settings: Settings) -> Evaluated:
+        """Values and gradients at points (points, n), each with its own multipliers and penalty."""
+        function = self._compiled.get(settings.duration)
+        if function is None:
+            function = self._compiled[settings.duration] = jax.jit(self._make(settings.duration))
+        out = function(  # type: ignore[operator]
+            jnp.asarray(unit), jnp.asarray(multipliers), jnp.asarray(penalty), jnp.asarray(settings.smoothing)
+        )
+        runs = len(unit) * len(self.draws) * len(self.problem.media)
+        self.counts = self.counts.plus(runs, runs)
+        return Evaluated(np.asarray(out[0]), np.asarray(out[1]), jax.device_get(out[2]))
+
+    def values(self, unit: np.ndarray, settings: Settings) -> Seen:
+        """What is seen at points (points, n), without gradients and without noise."""
+        function = self._plain.get(settings.duration)
+        if function is None:
+            from optimize.problem import look
+
+            def many(units: Array, smoothing: Array) -> Seen:
+                at = lambda u: look(self.problem, u, Settings(smoothing, settings.duration))  # noqa: E731
+                return jax.lax.map(at, units, batch_size=TOGETHER)
+
+            function = self._plain[settings.duration] = jax.jit(many)
+        seen = function(jnp.asarray(unit), jnp.asarray(settings.smoothing))  # type: ignore[operator]
+        self.counts = self.counts.plus(len(unit) * len(self.problem.media), 0)
+        return jax.device_get(seen)
+
+    def _make(self, duration: float | None):
+        problem, draws = self.problem, jnp.asarray(self.draws)
+        forward = len(problem.names) <= FEW
+
+        def one(point: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Seen]:
+            unit, multipliers, penalty, smoothing = point
+
+            def of(u: Array) -> tuple[Array, tuple[Array, Seen]]:
+                value, seen = loss(problem, u, multipliers, penalty, Settings(smoothing, duration))
+                return value, (value, seen)
+
+            take = jax.jacfwd if forward else jax.jacrev
+            gradient, (value, seen) = take(of, has_aux=True)(unit)
+            return value, gradient, seen
+
+        def many(unit: Array, multipliers: Array, penalty: Array, smoothing: Array) -> tuple[Array, Array, Seen]:
+            count, samples = unit.shape[0], draws.shape[0]
+            around = jnp.clip(unit[:, None] + draws[None], 0.0, 1.0).reshape(count * samples, -1)
+            spread = lambda v: jnp.repeat(v, samples, axis=0)  # noqa: E731
+            points = (around, spread(multipliers), spread(penalty), jnp.broadcast_to(smoothing, (count * samples,)))
+            if count * samples == 1:
+                value, gradient, seen = jax.tree.map(lambda v: v[None], one(jax.tree.map(lambda v: v[0], points)))
+            else:
+                value, gradient, seen = jax.lax.map(one, points, batch_size=TOGETHER)
+            value, gradient = value.reshape(count, samples), gradient.reshape(count, samples, -1)
+            seen = jax.tree.map(lambda v: v.reshape(count, samples, *v.shape[1:]), seen)
+            # A sample that failed says nothing about the mean; a point fails when most of its samples do.
+            fine = jnp.all(seen.ok, axis=2) & jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient), axis=2)
+            share = fine / jnp.sum(fine, axis=1, keepdims=True)
+            mean = lambda v: jnp.sum(jnp.where(fine, v, 0.0) * share, axis=1)  # noqa: E731
+            enough = jnp.mean(fine, axis=1) > 0.5
+            value = jnp.where(enough, mean(value), jnp.nan)
+            gradient = jnp.sum(jnp.where(fine[..., None], gradient, 0.0) * share[..., None], axis=1)
+            average = lambda v: jnp.mean(v, axis=1) if jnp.issubdtype(v.dtype, jnp.floating) else jnp.any(v, axis=1)  # noqa: E731
+            return value, gradient, jax.tree.map(average, seen)
+
+        return many

@@ -1,0 +1,314 @@
+"""A study made ready: scene, media and terms looked up and checked, and the loss as a pure function of the unit vector."""
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import diffeed
+from optimize import variables as free
+from optimize.study import Goal, Limit, Study
+from optimize.terms import TERMS, Term
+
+SLACK = 1e-2
+"""A limit counts as kept when it is missed by less than this share of its scale."""
+
+
+class StudyError(ValueError):
+    """A study that cannot be used; `problems` lists everything that is wrong with it."""
+
+    def __init__(self, problems: list[str], where: str = "study") -> None:
+        super().__init__(problems, where)
+        self.problems, self.where = list(problems), where
+
+    def __str__(self) -> str:
+        count = "1 problem" if len(self.problems) == 1 else f"{len(self.problems)} problems"
+        return "\n".join([f"{self.where}: {count}", *(f"  {p}" for p in self.problems)])
+
+
+class Asked(NamedTuple):
+    """One term of the objective or one limit, resolved."""
+
+    name: str
+    term: Term
+    parts: tuple[str, ...]
+    at: str
+    spec: Goal | Limit
+
+
+class Seen(NamedTuple):
+    """What one evaluation saw, (media, ...) each."""
+
+    goals: Array  # (media, goals) values of the measures
+    limits: Array  # (media, limits) values of the measures
+    violation: Array  # (media, sides) > 0 where a limit is broken, in its scale
+    objective: Array  # (media,)
+    ok: Array  # (media,) the run holds
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A checked study. `scenes`: one per medium, normalised."""
+
+    study: Study
+    scenes: tuple[diffeed.Scene, ...]
+    media: tuple[str, ...]
+    weights: np.ndarray
+    goals: tuple[Asked, ...]
+    limits: tuple[Asked, ...]
+    start: np.ndarray  # (n,) unit values
+
+    @property
+    def variables(self) -> tuple[Any, ...]:
+        return tuple(self.study.variables.values())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.study.variables)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple(free.unit_text(self.scenes[0], v) for v in self.variables)
+
+    @property
+    def observe(self) -> tuple[str, ...]:
+        found = {o for asked in (*self.goals, *self.limits) for o in asked.term.observe}
+        return tuple(sorted(found))
+
+    @property
+    def sides(self) -> int:
+        """Number of one-sided limits."""
+        return sum((a.spec.at_least is not None) + (a.spec.at_most is not None) for a in self.limits)  # type: ignore[union-attr]
+
+    @property
+    def tolerance(self) -> np.ndarray:
+        """(n,) unit size of a designer's step: the variable's `tolerance`, or 1 % of its range."""
+        start = free.physical(self.variables, jnp.asarray(self.start))
+        sizes = [v.tolerance or 0.01 * (v.bounds[1] - v.bounds[0]) for v in self.variables]
+        moved = np.clip(np.asarray(start) + sizes, *np.array([v.bounds for v in self.variables]).T)
+        back = np.asarray(start) - (moved - np.asarray(start) < 0.5 * np.array(sizes)) * sizes
+        ends = np.where(moved - np.asarray(start) < 0.5 * np.array(sizes), back, moved)
+        return np.abs(free.unit(self.variables, ends) - self.start)
+
+    def scene(self, unit: Any, medium: int = 0) -> diffeed.Scene:
+        """The scene of a point."""
+        return free.applied(self.scenes[medium], self.variables, free.physical(self.variables, jnp.asarray(unit)))
+
+
+class Settings(NamedTuple):
+    """What a stage changes: easier contact (traced), run length (static)."""
+
+    smoothing: float = 1.0
+    duration: float | None = None
+
+
+def simulate(problem: Problem, scene: diffeed.Scene, duration: float | None = None, extra: tuple[str, ...] = ()) -> Any:
+    """One run as the study asks for it."""
+    study = problem.study
+    return diffeed.simulate(
+        scene,
+        duration or study.duration,
+        study.dt,
+        study.frames,
+        study.method,
+        observe=tuple(sorted({*problem.observe, *extra})),
+    )
+
+
+def eased(scene: diffeed.Scene, factor: Any) -> diffeed.Scene:
+    """Smoothing lengths and stick speeds times a factor: rounder corners in the landscape, at a bias."""
+    for name in scene.contacts:
+        for field in ("smoothing", "stick_speed"):
+            path = f"contacts.{name}.{field}"
+            scene = diffeed.put(scene, path, diffeed.get(scene, path) * factor)
+    return scene
+
+
+def values_of(asked: tuple[Asked, ...], scene: diffeed.Scene, run: Any) -> Array:
+    """(terms,) each the mean over its parts."""
+    found = [
+        jnp.mean(jnp.stack([jnp.asarray(a.term.value(scene, run, part, a.at)) for part in a.parts])) for a in asked
+    ]
+    return jnp.stack(found) if found else jnp.zeros((0,))
+
+
+def violations(problem: Problem, values: Array) -> Array:
+    """(sides,) how far each limit is broken, in its scale; negative where it is kept."""
+    found = []
+    for value, asked in zip(values, problem.limits, strict=True):
+        spec = asked.spec
+        assert isinstance(spec, Limit)
+        if spec.at_least is not None:
+            found.append((spec.at_least - value) / spec.scale)
+        if spec.at_most is not None:
+            found.append((value - spec.at_most) / spec.scale)
+    return jnp.stack(found) if found else jnp.zeros((0,))
+
+
+def objective_of(problem: Problem, values: Array) -> Array:
+    """The weighted sum of the goals."""
+    total = jnp.zeros(())
+    for value, asked in zip(values, problem.goals, strict=True):
+        spec = asked.spec
+        assert isinstance(spec, Goal)
+        scaled = value / spec.scale if spec.target is None else ((value - spec.target) / spec.scale) ** 2
+        total = total + spec.weight * scaled
+    return total
+
+
+def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
+    """Run all media at a point."""
+    factor = jnp.asarray(settings.smoothing)
+
+    def one(scene: diffeed.Scene) -> Seen:
+        moved = free.applied(scene, problem.variables, free.physical(problem.variables, unit))
+        run = simulate(problem, eased(moved, factor), settings.duration)
+        goals, limits = values_of(problem.goals, moved, run), values_of(problem.limits, moved, run)
+        return Seen(goals, limits, violations(problem, limits), objective_of(problem, goals), run.ok)
+
+    if len(problem.scenes) == 1:
+        return jax.tree.map(lambda v: v[None], one(problem.scenes[0]))
+    return jax.vmap(one)(diffeed.stack(list(problem.scenes)))
+
+
+def over_media(problem: Problem, objective: Array) -> Array:
+    """(media,) objectives as one number: mean, worst, or the mean of the worst `tail` share (CVaR)."""
+    weights = jnp.asarray(problem.weights / problem.weights.sum())
+    if problem.study.over == "mean" or len(problem.media) == 1:
+        return jnp.sum(weights * objective)
+    if problem.study.over == "worst":
+        return jnp.max(objective)
+    order = jnp.argsort(-objective)
+    left = jnp.clip(problem.study.tail - (jnp.cumsum(weights[order]) - weights[order]), 0.0, weights[order])
+    return jnp.sum(left * objective[order]) / problem.study.tail
+
+
+def loss(problem: Problem, unit: Array, multipliers: Array, penalty: Array, settings: Settings) -> tuple[Array, Seen]:
+    """The augmented Lagrangian at a point: objective + sum (max(0, m + p g)^2 - m^2)/(2 p) over media and limits g <= 0."""
+    seen = look(problem, unit, settings)
+    pushed = jnp.maximum(multipliers + penalty * seen.violation, 0.0)
+    return over_media(problem, seen.objective) + jnp.sum(pushed**2 - multipliers**2) / (2.0 * penalty), seen
+
+
+# --- from a study to a problem ----------------------------------------------------------------------------------------
+
+
+def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None = None) -> Problem:
+    """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names."""
+    try:
+        base = diffeed.load_scene(study.scene) if scene is None else scene
+    except diffeed.SceneError as error:
+        raise StudyError([f"scene: {p}" for p in error.problems], where) from None
+    problems: list[str] = []
+    base = _changed(base, study.set, "set", problems)
+    scenes = {name: _changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
+    scenes = scenes or {"": base}
+    problems += _variable_problems(study, base)
+    goals = tuple(_resolved(study, "objective", n, g, base, problems) for n, g in study.objective.items())
+    limits = tuple(_resolved(study, "limits", n, g, base, problems) for n, g in study.limits.items())
+    problems += _setting_problems(study)
+    if not problems:
+        for name, medium in scenes.items():
+            found = diffeed.check(medium, dt=study.dt, method=study.method)
+            problems += [f"media.{name}: {p}" if name else p for p in found]
+    if problems:
+        raise StudyError(problems, where)
+    start = free.unit(tuple(study.variables.values()), [free.start_of(v, base) for v in study.variables.values()])
+    weights = np.array([m.weight for m in study.media.values()] or [1.0])
+    return Problem(
+        study, tuple(scenes.values()), tuple(scenes), weights, tuple(filter(None, goals)), tuple(filter(None, limits)), start
+    )
+
+
+def _changed(scene: diffeed.Scene, changes: dict[str, Any], where: str, problems: list[str]) -> diffeed.Scene:
+    for path, value in changes.items():
+        try:
+            scene = diffeed.put(scene, path, value)
+        except ValueError as error:
+            problems.append(f"{where}: {error}")
+    return scene
+
+
+def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
+    for name, variable in study.variables.items():
+        where = f"variables.{name}"
+        found = []
+        for path in variable.paths:
+            try:
+                value = diffeed.get(scene, path)
+                if np.ndim(value) or isinstance(value, str) or value is None:
+                    found.append(f"{where}.path must name one number, but {path} holds {_shown(value)}")
+            except ValueError as error:
+                found.append(f"{where}.path: {error}")
+        for part in (*(variable.shift or ()), *(variable.turn or ())):
+            try:
+                if not free.places(scene, part):
+                    found.append(f"{where}: {part} has no place that could move; name rollers or guides")
+            except ValueError as error:
+                found.append(f"{where}: {error}")
+        yield from found
+        if not found:
+            start, (low, high) = free.start_of(variable, scene), variable.bounds
+            if not low <= start <= high:
+                yield f"{where}.bounds must hold the start, {start:g}, but are [{low:g}, {high:g}]"
+
+
+def _shown(value: Any) -> str:
+    return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else repr(value)
+
+
+def _resolved(
+    study: Study, section: str, name: str, spec: Goal | Limit, scene: diffeed.Scene, problems: list[str]
+) -> Asked | None:
+    where = f"{section}.{name}"
+    if spec.measure not in TERMS:
+        near = difflib.get_close_matches(spec.measure, TERMS, 1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        problems.append(f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{hint}')
+        return None
+    term, before = TERMS[spec.measure], len(problems)
+    parts = _parts(where, term, spec, scene, problems)
+    if term.at and spec.at not in scene.sensors:
+        known = ", ".join(sorted(scene.sensors)) or "none in this scene"
+        problems.append(f"{where}.at must name a sensor ({known}), but is {'missing' if not spec.at else repr(spec.at)}")
+    if not term.at and spec.at:
+        problems.append(f'{where}.at is only for arrivals; "{spec.measure}" takes none')
+    return Asked(name, term, parts, spec.at or "", spec) if len(problems) == before else None
+
+
+def _parts(where: str, term: Term, spec: Goal | Limit, scene: diffeed.Scene, problems: list[str]) -> tuple[str, ...]:
+    if not term.of:
+        if spec.of:
+            problems.append(f'{where}.of must be left out: "{spec.measure}" is of the whole machine')
+        return ("",)
+    known = getattr(scene, term.of)
+    named = [spec.of] if isinstance(spec.of, str) else list(spec.of or ())
+    if not named and term.of == "sheets":
+        named = [min(known)]
+    if not named:
+        problems.append(f"{where}.of must name one or more {term.of}: {', '.join(sorted(known))}")
+    for part in named:
+        if part not in known:
+            near = difflib.get_close_matches(part, known, 1)
+            hint = f'; did you mean "{near[0]}"?' if near else f"; known: {', '.join(sorted(known))}"
+            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint}')
+    return tuple(named)
+
+
+def _setting_problems(study: Study) -> Iterator[str]:
+    from optimize.optimisers import OPTIMISERS
+
+    if study.method not in diffeed.METHODS:
+        yield f'method must be one of {", ".join(diffeed.METHODS)}, but is "{study.method}"'
+    if study.search.name not in OPTIMISERS:
+        near = difflib.get_close_matches(study.search.name, OPTIMISERS, 1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        yield f'search.name must be an optimiser of optax ({", ".join(OPTIMISERS)}), but is "{study.search.name}"{hint}'
+    spans = any("spans" in TERMS[s.measure].observe for s in (*study.objective.values(), *study.limits.values()) if s.measure in TERMS)
+    if spans and study.method != "linear_euler":
+        yield f'method must be "linear_euler" for measures of the spans between nips, but is "{study.method}"'

@@ -1,0 +1,176 @@
+"""What a search gives its user: a table on the screen, and a folder with scene, numbers and pictures."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import diffeed
+from diffeed import player
+from optimize.blame import arising, blame
+from optimize.design import Result, Scored, run_of
+from optimize.problem import SLACK
+from optimize.study import Goal, Limit
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+SUMMARY = "result.json"
+FILES = (
+    "scene.toml", "before_after.html", "history.png", "variables.png", "blame_before.png", "blame_after.png",
+    "when_before.png", SUMMARY,
+)  # fmt: skip
+"""The summary is written last: a folder that holds it is complete."""
+
+
+def summarise(result: Result) -> dict[str, Any]:
+    """The result as plain words and numbers."""
+    problem = result.problem
+    return {
+        "title": problem.study.title,
+        "scene": problem.study.scene,
+        "reason": result.reason,
+        "improved": result.improved,
+        "simulations": result.progress.counts.simulations,
+        "gradients": result.progress.counts.gradients,
+        "iterations": result.progress.iteration,
+        "seconds": result.progress.seconds,
+        "before": _point(result, result.before),
+        "after": _point(result, result.after),
+    }
+
+
+def _point(result: Result, scored: Scored) -> dict[str, Any]:
+    problem = result.problem
+    return {
+        "objective": _finite(scored.objective),
+        "violation": _finite(max(scored.violation, 0.0)),
+        "keeps_limits": scored.violation <= SLACK,
+        "variables": scored.values,
+        "media": {
+            name or "sheet": {
+                "verdict": scored.verdicts[m].sentence(),
+                "goals": {a.name: _finite(scored.goals[m][k]) for k, a in enumerate(problem.goals)},
+                "limits": {a.name: _finite(scored.limits[m][k]) for k, a in enumerate(problem.limits)},
+            }
+            for m, name in enumerate(problem.media)
+        },
+    }
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def print_result(console: "Console", result: Result) -> None:
+    """Verdicts, then variables, goals and limits before and after."""
+    problem, before, after = result.problem, result.before, result.after
+    word = "better" if result.improved else "no better point was found"
+    console.print(f"{problem.study.title or problem.study.scene}: {word}. The search ended: {result.reason}.", style="bold")
+    for m, name in enumerate(problem.media):
+        where = f"{name}: " if name else ""
+        console.print(f"  {where}before {before.verdicts[m].sentence()}")
+        console.print(f"  {where}after  {after.verdicts[m].sentence()}")
+    console.print("\nVariables", style="bold")
+    table = _table("variable", "unit", "before", "after", "lower", "upper")
+    for name, unit, variable in zip(problem.names, problem.units, problem.variables, strict=True):
+        at_bound = min(abs(after.values[name] - b) for b in variable.bounds) < 1e-3 * np.ptp(variable.bounds)
+        row = (before.values[name], after.values[name], *variable.bounds)
+        table.add_row(name + (" (at its bound)" if at_bound else ""), unit, *(f"{v:.5g}" for v in row))
+    console.print(table)
+    console.print("Goals and limits", style="bold")
+    table = _table("measure", "unit", "before", "after", "wanted")
+    for m, medium in enumerate(problem.media):
+        for k, asked in enumerate(problem.goals):
+            table.add_row(_label(medium, asked), asked.term.unit, f"{before.goals[m][k]:.5g}", f"{after.goals[m][k]:.5g}",
+                          _wanted(asked.spec))  # fmt: skip
+        for k, asked in enumerate(problem.limits):
+            value = after.limits[m][k]
+            kept = "" if _keeps(asked.spec, value) else "  BROKEN"
+            table.add_row(_label(medium, asked), asked.term.unit, f"{before.limits[m][k]:.5g}", f"{value:.5g}",
+                          _wanted(asked.spec) + kept)  # fmt: skip
+    table.add_row("objective", "", f"{before.objective:.5g}", f"{after.objective:.5g}", "least")
+    console.print(table)
+    spent = result.progress
+    console.print(
+        f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
+        f"{spent.seconds:.1f} s (compilation included)"
+    )
+
+
+def _label(medium: str, asked: Any) -> str:
+    return f"{medium}: {asked.name}" if medium else asked.name
+
+
+def _wanted(spec: Goal | Limit) -> str:
+    if isinstance(spec, Goal):
+        return "least" if spec.target is None and spec.weight > 0 else "most" if spec.target is None else f"{spec.target:g}"
+    low = "" if spec.at_least is None else f">= {spec.at_least:g}"
+    high = "" if spec.at_most is None else f"<= {spec.at_most:g}"
+    return " and ".join(filter(None, (low, high)))
+
+
+def _keeps(spec: Goal | Limit, value: float) -> bool:
+    assert isinstance(spec, Limit)
+    low = spec.at_least is None or value >= spec.at_least - SLACK * spec.scale
+    return bool(low and (spec.at_most is None or value <= spec.at_most + SLACK * spec.scale))
+
+
+def _table(first: str, *columns: str) -> "Table":
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    table.add_column(first, overflow="fold")
+    for name in columns:
+        table.add_column(name, justify="left" if name in ("unit", "wanted") else "right", no_wrap=True)
+    return table
+
+
+def write_result(folder: Path, result: Result, pictures: bool = True) -> list[str]:
+    """Scene, player, pictures and numbers; the names of the files written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SUMMARY).unlink(missing_ok=True)
+    diffeed.save_scene(result.scene, folder / "scene.toml")
+    if pictures:
+        _write_pictures(folder, result)
+    text = json.dumps(summarise(result), indent=2, allow_nan=False) + "\n"
+    (folder / SUMMARY).write_text(text, "utf-8")
+    return [name for name in FILES if (folder / name).exists()]
+
+
+def _write_pictures(folder: Path, result: Result) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from optimize import pictures
+
+    problem = result.problem
+    points = {"before": result.before.unit, "after": result.after.unit}
+    runs = {k: run_of(problem, u) for k, u in points.items()}
+    scenes = {k: problem.scene(u) for k, u in points.items()}
+    player.write_player(
+        folder / "before_after.html", scenes["before"], runs["before"], compare=(scenes["after"], runs["after"]),
+        title=problem.study.title or problem.study.scene,
+    )  # fmt: skip
+    if result.history:
+        _picture(folder / "history.png", lambda: pictures.history(result.history))
+        _picture(folder / "variables.png", lambda: pictures.variables(problem, result.history))
+    for k, unit in points.items():
+        found = blame(problem, unit)
+        _picture(folder / f"blame_{k}.png", lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found))
+    found = arising(problem, points["before"])
+    _picture(folder / "when_before.png", lambda: pictures.heat_map(found))
+
+
+def _picture(path: Path, draw: Callable[[], Any]) -> None:
+    from matplotlib import pyplot
+
+    figure = draw().figure
+    try:
+        figure.savefig(path)
+    finally:
+        pyplot.close(figure)

@@ -1,0 +1,88 @@
+"""STUDY files: TOML to a checked study. A file holds numbers and words; the scene it names is read as a scene file."""
+
+import difflib
+import os
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from optimize.problem import StudyError
+from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
+
+MAX_BYTES = 1_000_000
+_RECORDS: dict[str, type[BaseModel]] = {
+    "variables": Variable, "objective": Goal, "limits": Limit, "media": Medium, "search": Search, "stages": Stage,
+}  # fmt: skip
+
+
+def load_study(name_or_path: str | os.PathLike[str]) -> Study:
+    """The study of a shipped study's name or of a TOML file; StudyError lists everything that is wrong with it.
+
+    A relative path of the scene counts from the study file.
+    """
+    where = os.fspath(name_or_path)
+    shipped = shipped_studies()
+    file = shipped.get(where, Path(where))
+    table = _parse(file, where, sorted(shipped))
+    scene = table.get("scene")
+    if isinstance(scene, str) and where not in shipped and not os.path.isabs(scene):
+        beside = Path(where).parent / scene
+        table["scene"] = str(beside) if beside.is_file() else scene
+    return make_study(table, where)
+
+
+def make_study(table: dict[str, Any], where: str = "study") -> Study:
+    """A study from a table of plain values."""
+    try:
+        return Study.model_validate(table)
+    except ValidationError as error:
+        raise StudyError([_sentence(e) for e in error.errors()], where) from None
+
+
+def shipped_studies() -> dict[str, Path]:
+    """Name and file of the studies that come with the package."""
+    folder = resources.files("optimize") / "studies"
+    return {f.name.removesuffix(".toml"): Path(str(f)) for f in folder.iterdir() if f.name.endswith(".toml")}
+
+
+def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
+    try:
+        if not file.is_file():
+            raise StudyError([f"there is no such file, nor a shipped study of that name: {', '.join(known)}"], where)
+        data = file.read_bytes()[: MAX_BYTES + 1]
+        if len(data) > MAX_BYTES:
+            raise StudyError([f"the file must be <= {MAX_BYTES / 1e6:g} MB, but is larger"], where)
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise StudyError(["the file nests tables or lists too deeply"], where) from None
+    except StudyError:
+        raise
+    except (OSError, ValueError) as error:
+        raise StudyError([f"the file is not readable TOML: {error}"], where) from None
+
+
+def _sentence(error: Any) -> str:
+    """One problem in the words of a study file: path, what it must be, what it is."""
+    places = [str(p) for p in error["loc"] if not (isinstance(p, str) and p.startswith(("list[", "str", "function-")))]
+    where, kind = ".".join(places), error["type"]
+    if kind == "extra_forbidden":
+        section = next((p for p in reversed(places[:-1]) if p in _RECORDS), "")
+        fields = list((_RECORDS[section] if section else Study).model_fields)
+        near = difflib.get_close_matches(places[-1], fields, 1)
+        hint = f'; did you mean "{near[0]}"?' if near else f"; known: {', '.join(fields)}"
+        return f"{where} is not a field here{hint}"
+    if kind == "missing":
+        return f"{where} is missing"
+    text = error["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return f"{where}: {text}"
+    text = text.removeprefix("Input should be ").replace("Input should have", "something with")
+    return f"{where} must be {text}, but is {_shown(error.get('input'))}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
