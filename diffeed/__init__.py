@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     )
     from diffeed.paths import get, numbers, put, unit
     from diffeed.rollout import simulate
-    from diffeed.scene_file import load_scene, save_scene, shipped_scenes
+    from diffeed.scene_file import load_scene, save_scene, scene_text, shipped_scenes
     from diffeed.stacking import stack
     from diffeed.state import State
     from diffeed.statics import Linearisation, linearise, settle
@@ -78,6 +78,7 @@ __all__ = [
     "put",
     "save_scene",
     "scene",
+    "scene_text",
     "settle",
     "shipped_scenes",
     "simulate",
@@ -111,7 +112,7 @@ _MODULES = {
     ),
     "paths": ("get", "numbers", "put", "unit"),
     "rollout": ("simulate",),
-    "scene_file": ("load_scene", "save_scene", "shipped_scenes"),
+    "scene_file": ("load_scene", "save_scene", "scene_text", "shipped_scenes"),
     "stacking": ("stack",),
     "state": ("State",),
     "statics": ("Linearisation", "linearise", "settle"),

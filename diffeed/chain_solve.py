@@ -26,7 +26,7 @@ def solve(system: System, layout: Layout) -> Solution:
     # Each clamp pulls until its own row holds: (C A^-1 C') r = C A^-1 f - c.
     moved = jnp.stack(found[:3], axis=1).reshape(n + 1, -1) @ clamps.columns.reshape(n, -1).T
     reaction = solve_positive(moved[1:], (moved[0] - clamps.rhs)[:, None])[:, 0]
-    return Solution(*(v[0] - reaction @ v[1:] for v in found), reaction)
+    return Solution._make([*(v[0] - reaction @ v[1:] for v in found), reaction])
 
 
 def net_joint_force(system: System, solution: Solution) -> tuple[Array, Array]:

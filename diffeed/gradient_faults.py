@@ -4,6 +4,7 @@ Reverse mode is what breaks: a branch that is not taken still sends 0 times infi
 itself with an arbitrary cotangent, and in the first that answers with NaN, every pair and term.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.contact import keep_all
+from diffeed.contact import Pairs, keep_all
 from diffeed.forces import Step as ForceStep
 from diffeed.forces import assemble
 from diffeed.model import Model, build
@@ -121,21 +122,32 @@ def _blame(scene: Scene, state: State, h: float, method: str) -> tuple[str, str,
 
 
 def _bad_pairs(scene: Scene, state: State) -> dict[str, Array]:
-    """Per term, (bodies, features) bool: the derivative with respect to state or scene is not finite."""
+    """Per term, (bodies, features) bool: the derivative with respect to state or scene is not finite.
 
-    def fields(scene: Scene, state: State) -> dict[str, Array]:
+    Each term by itself: pulled back together, a bad one would spoil the others by zero times infinity.
+    """
+
+    def pairs_of(scene: Scene, state: State) -> Pairs:
         pairs = look(build(scene), state)[2].sheets
         assert pairs is not None
-        shape = pairs.gap.shape
-        found = {n: jnp.broadcast_to(getattr(pairs, n), shape) for n in GEOMETRY}
-        return found | {n: jnp.broadcast_to(getattr(pairs.touch, n), shape) for n in LAW}
+        return pairs
 
-    slopes = jax.jacrev(fields, argnums=(0, 1))(scene, state)
-    shape = look(build(scene), state)[2].sheets.gap.shape  # type: ignore[union-attr]
-    return {
-        ("speed" if n in ("v_n", "v_t") else n if n in GEOMETRY else f"contact law: {n}"): _any_bad(slopes[n], shape)
-        for n in (*GEOMETRY, *LAW)
-    }
+    shape = pairs_of(scene, state).gap.shape
+
+    def term(name: str) -> Callable[[Scene, State], Array]:
+        def value(scene: Scene, state: State) -> Array:
+            pairs = pairs_of(scene, state)
+            return jnp.broadcast_to(getattr(pairs if name in GEOMETRY else pairs.touch, name), shape)
+
+        return value
+
+    return {_meaning(n): _any_bad(jax.jacrev(term(n), argnums=(0, 1))(scene, state), shape) for n in (*GEOMETRY, *LAW)}
+
+
+def _meaning(name: str) -> str:
+    if name in ("v_n", "v_t"):
+        return f"relative speed {name}"
+    return name if name in GEOMETRY else f"contact law: {name}"
 
 
 def _any_bad(slopes: Any, shape: tuple[int, ...]) -> Array:

@@ -22,6 +22,8 @@ SOFTNESS = 0.05
 """Width over which the smallest part is smoothed."""
 ENOUGH = 0.5
 """Fed per commanded distance that counts as feeding, for a scene without a goal."""
+HELD = 4.0
+"""Euler load of a span whose ends are held straight over that of hinged ends: a nip is nearer to the former."""
 FOLDED = np.deg2rad(150.0)
 """Turn over three joints that counts as folded back."""
 NEAR = 1.0
@@ -32,10 +34,10 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
     """The parts of the margin of one sheet (the first if not named). Needs observe=("feed", "spans").
 
     progress: fed distance over the distance that brings the tail to the scene's goal (straight from lead to goal), less
-    1; without a goal, over half the commanded distance. buckling: compression between nips against the Euler load of the
-    free span. fold: turn over three joints against 150 degrees. attack: angle at which the head meets a guide against the
-    angle at which friction holds it fast, 90 degrees less the friction angle. gap: depth to which the head is pressed
-    into a guide against half a millimetre.
+    1; without a goal, over half the commanded distance. buckling: compression between nips against the Euler load of a
+    free span with held ends. fold: turn over three joints against 150 degrees. attack: angle at which the head meets a
+    guide against the angle at which friction holds it fast, 90 degrees less the friction angle. gap: depth to which the
+    head is pressed into a guide against half a millimetre.
     """
     for name in NEEDS:
         if name not in trajectory.observed:
@@ -44,7 +46,7 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
     name = min(scene.sheets) if sheet is None else sheet
     parts = {
         "progress": _progress(scene, trajectory, name),
-        "buckling": 1.0 - trajectory.observed["spans"][name].buckling,
+        "buckling": 1.0 - trajectory.observed["spans"][name].buckling / HELD,
         "fold": _fold(trajectory, name),
     }
     model = build(scene)

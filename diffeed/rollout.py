@@ -33,7 +33,9 @@ from diffeed.trajectory import (
 )
 
 BLOCK = 16
-"""Most steps between two searches for candidates. Reverse mode keeps one state per block and recomputes inside."""
+"""Most steps between two searches for candidates."""
+MANY = 40_000
+"""Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
 DEEPEST = 3.0
 """mm: a bar axis further inside a roller or circle guide than this (or than half its radius) went through it."""
 FASTEST = 1e7
@@ -126,11 +128,11 @@ def _simulate(
         carry, _ = lax.scan(one_block, carry, starts)
         return carry, carry.state
 
-    @jax.checkpoint
     def one_block(carry: Progress, start: Array) -> tuple[Progress, None]:
         with jax.named_scope("search"):
             found = search(model, carry.state, counts.steps * h)
 
+        @functools.partial(jax.checkpoint, prevent_cse=False)  # in a scan nothing can be merged that must not be
         def one_step(carry: Progress, k: Array) -> tuple[Progress, None]:
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             return _guarded_step(model, scene, carry, h, time, found, method, observe), None
@@ -142,6 +144,8 @@ def _simulate(
             cause=jnp.where(lost, cause, carry.cause), failed_at=jnp.where(lost, carry.state.time, carry.failed_at)
         ), None
 
+    if counts.total > MANY:
+        one_block = jax.checkpoint(one_block, prevent_cse=False)
     last, states = lax.scan(one_frame, first, jnp.arange(counts.frames - 1))
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)

@@ -1,7 +1,7 @@
 """optimize: the design loop on the gradients of diffeed.
 
-    import optimize
-    result = optimize.design(optimize.load_study("nip_slip"))
+import optimize
+result = optimize.design(optimize.load_study("nip_slip"))
 """
 
 from importlib import import_module

@@ -66,9 +66,7 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
 
     def of(copies: diffeed.Scene) -> Array:
         first = jax.tree.map(lambda v: v[0], copies)
-        begun = diffeed.simulate(
-            first, piece, study.dt, 2, study.method, observe=problem.observe
-        )
+        begun = diffeed.simulate(first, piece, study.dt, 2, study.method, observe=problem.observe)
 
         def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, None]:
             run = diffeed.simulate(copy, piece, study.dt, 2, study.method, initial=resume, observe=problem.observe)

@@ -37,7 +37,13 @@ def main() -> None:
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Stop after this time.")
 @click.option("--no-pictures", is_flag=True, help="Write the scene and the numbers only.")
 def design(
-    study: str, out: Path | None, resume: bool, force: bool, iterations: int | None, seconds: float | None, no_pictures: bool
+    study: str,
+    out: Path | None,
+    resume: bool,
+    force: bool,
+    iterations: int | None,
+    seconds: float | None,
+    no_pictures: bool,
 ) -> None:
     """Search for a better machine.
 
@@ -87,7 +93,9 @@ def check(study: str, out: Path | None, samples: int) -> None:
 @main.command(context_settings=SETTINGS)
 @STUDY
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for comparison.json and comparison.png.")
-@click.option("--budget", type=click.IntRange(10), default=1500, show_default=True, help="Most simulations of each search.")
+@click.option(
+    "--budget", type=click.IntRange(10), default=1500, show_default=True, help="Most simulations of each search."
+)
 def compare(study: str, out: Path | None, budget: int) -> None:
     """Simulations that the gradient needs, beside differential evolution and Nelder-Mead on the same objective.
 
@@ -157,7 +165,11 @@ def _bar(problem: Any) -> Iterator[Callable[..., None]]:
 
         def show(problem: Any, progress: Any, line: Any) -> None:
             kept = "" if line.violation <= 0.01 else f", limits missed by {line.violation:.2g}"
-            bar.update(task, completed=line.iteration, done=f"{line.iteration} of {total}: objective {line.objective:.5g}{kept}")
+            bar.update(
+                task,
+                completed=line.iteration,
+                done=f"{line.iteration} of {total}: objective {line.objective:.5g}{kept}",
+            )
 
         yield show
 

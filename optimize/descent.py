@@ -86,7 +86,7 @@ def first_points(problem: Problem) -> np.ndarray:
         return problem.start[None].copy()
     from scipy.stats import qmc
 
-    drawn = qmc.Sobol(n, seed=search.seed).random(search.starts - 1) if search.starts > 1 else np.zeros((0, n))
+    drawn = qmc.Sobol(n, rng=search.seed).random(search.starts - 1) if search.starts > 1 else np.zeros((0, n))
     around = problem.start[None] + search.spread * (2.0 * drawn - 1.0)
     return np.clip(np.concatenate([problem.start[None], around]), 0.0, 1.0)
 
@@ -154,14 +154,19 @@ def _judge(problem: Problem, progress: Progress, found: Evaluated) -> None:
         if not last:
             progress.best[i] = progress.unit[i]  # the score of an easier problem does not count
         elif worst[i] <= SLACK and objective[i] < progress.merit[i]:
-            if objective[i] < progress.merit.min() - problem.study.search.gain * max(1e-12, abs(progress.merit.min())):
+            if not objective[i] >= _gained(progress.merit.min(), problem.study.search.gain):
                 progress.since = progress.iteration
             progress.merit[i], progress.best[i] = objective[i], progress.unit[i]
         elif not np.isfinite(progress.merit[i]) and worst[i] < progress.closest[i]:
             progress.closest[i], progress.best[i], progress.since = worst[i], progress.unit[i], progress.iteration
 
 
-def _objective(problem: Problem, objective: np.ndarray) -> Any:
+def _gained(best: float, gain: float) -> float:
+    """What the objective must fall below to count as a gain."""
+    return best - gain * max(1e-12, abs(best)) if np.isfinite(best) else np.inf
+
+
+def _objective(problem: Problem, objective: Any) -> Any:
     from optimize.problem import over_media
 
     return over_media(problem, jnp.asarray(objective))
@@ -179,7 +184,9 @@ def _step(problem: Problem, progress: Progress, found: Evaluated, move: Any, eva
     progress.unit = np.where(alive[:, None], step, progress.good)
     keep = fell | ~alive
     progress.state = jax.tree.map(
-        lambda a, b: np.where(keep.reshape(-1, *[1] * (np.ndim(a) - 1)), b, a) if np.ndim(a) else a, state, progress.state
+        lambda a, b: np.where(keep.reshape(-1, *[1] * (np.ndim(a) - 1)), b, a) if np.ndim(a) else a,
+        state,
+        progress.state,
     )
 
 
@@ -192,9 +199,7 @@ def _mover(problem: Problem) -> Any:
     updates = [jax.jit(jax.vmap(t.update)) for t in transforms]
 
     def move(progress: Progress, settings: Settings) -> tuple[np.ndarray, Any, int]:
-        update, state = updates[progress.stage](
-            jnp.asarray(progress.slope), progress.state, jnp.asarray(progress.good)
-        )
+        update, state = updates[progress.stage](jnp.asarray(progress.slope), progress.state, jnp.asarray(progress.good))
         return progress.good + progress.pace[:, None] * np.asarray(update), jax.device_get(state), 0
 
     return move

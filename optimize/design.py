@@ -79,7 +79,7 @@ def design(
     progress = journal.start(resume, force) if journal else begin(problem)
     history: list[dict[str, Any]] = []
     try:
-        for progress, line in search(problem, progress, journal.save if journal else lambda p, line: None):  # noqa: B007
+        for _, line in search(problem, progress, journal.save if journal else lambda p, line: None):
             history.append(line._asdict())
             watch(problem, progress, line)
     except KeyboardInterrupt:
@@ -94,7 +94,11 @@ def finish(problem: Problem, progress: Progress, history: list[dict[str, Any]]) 
     """Score the start and the best point of every start, and take the best of them."""
     points = np.unique(np.concatenate([problem.start[None], progress.best]), axis=0)
     seen = Evaluator(problem).values(points, Settings())
-    order = np.argsort([_first_rank(problem, seen, k) for k in range(len(points))], axis=0)[:, 0] if len(points) > 1 else [0]
+    order = (
+        np.argsort([_first_rank(problem, seen, k) for k in range(len(points))], axis=0)[:, 0]
+        if len(points) > 1
+        else [0]
+    )
     order = sorted(range(len(points)), key=lambda k: _first_rank(problem, seen, k))
     scored = [score(problem, points[k], seen, k) for k in order[:4]]
     at_start = next(k for k in range(len(points)) if np.array_equal(points[k], problem.start))

@@ -1,6 +1,6 @@
 """The compiled evaluation of a problem: values and gradients of many points at once."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,10 @@ class Counts(NamedTuple):
         return Counts(self.simulations + simulations, self.gradients + gradients)
 
 
+_PROGRAMS: dict[tuple[Any, ...], dict[float | None, Any]] = {}
+"""Compiled functions by problem and run length: a second search of the same problem compiles nothing."""
+
+
 class Evaluator:
     """Compiled functions of one problem, one per run length. With `samples`, the expected gradient: the mean over
     points drawn around each (the same draws for all points and iterations)."""
@@ -46,20 +50,23 @@ class Evaluator:
             rng = np.random.default_rng(search.seed)
             half = rng.normal(size=((search.samples + 1) // 2, len(problem.names)))
             self.draws = np.concatenate([half, -half])[: search.samples] * problem.tolerance  # antithetic
-        self._compiled: dict[float | None, object] = {}
-        self._plain: dict[float | None, object] = {}
+        mark = (problem.key, self.draws.tobytes())
+        self._compiled = _PROGRAMS.setdefault(mark, {})
+        self._plain = _PROGRAMS.setdefault((problem.key,), {})
 
-    def gradients(self, unit: np.ndarray, multipliers: np.ndarray, penalty: np.ndarray, settings: Settings) -> Evaluated:
+    def gradients(
+        self, unit: np.ndarray, multipliers: np.ndarray, penalty: np.ndarray, settings: Settings
+    ) -> Evaluated:
         """Values and gradients at points (points, n), each with its own multipliers and penalty."""
         function = self._compiled.get(settings.duration)
         if function is None:
             function = self._compiled[settings.duration] = jax.jit(self._make(settings.duration))
-        out = function(  # type: ignore[operator]
+        out = function(
             jnp.asarray(unit), jnp.asarray(multipliers), jnp.asarray(penalty), jnp.asarray(settings.smoothing)
         )
         runs = len(unit) * len(self.draws) * len(self.problem.media)
         self.counts = self.counts.plus(runs, runs)
-        return Evaluated(np.asarray(out[0]), np.asarray(out[1]), jax.device_get(out[2]))
+        return Evaluated(np.array(out[0]), np.array(out[1]), jax.device_get(out[2]))
 
     def values(self, unit: np.ndarray, settings: Settings) -> Seen:
         """What is seen at points (points, n), without gradients and without noise."""
@@ -72,7 +79,7 @@ class Evaluator:
                 return jax.lax.map(at, units, batch_size=TOGETHER)
 
             function = self._plain[settings.duration] = jax.jit(many)
-        seen = function(jnp.asarray(unit), jnp.asarray(settings.smoothing))  # type: ignore[operator]
+        seen = function(jnp.asarray(unit), jnp.asarray(settings.smoothing))
         self.counts = self.counts.plus(len(unit) * len(self.problem.media), 0)
         return jax.device_get(seen)
 
@@ -104,9 +111,10 @@ class Evaluator:
             seen = jax.tree.map(lambda v: v.reshape(count, samples, *v.shape[1:]), seen)
             # A sample that failed says nothing about the mean; a point fails when most of its samples do.
             fine = jnp.all(seen.ok, axis=2) & jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient), axis=2)
-            share = fine / jnp.sum(fine, axis=1, keepdims=True)
+            counted = fine.astype(value.dtype)
+            share = counted / jnp.maximum(jnp.sum(counted, axis=1, keepdims=True), 1.0)
             mean = lambda v: jnp.sum(jnp.where(fine, v, 0.0) * share, axis=1)  # noqa: E731
-            enough = jnp.mean(fine, axis=1) > 0.5
+            enough = jnp.mean(counted, axis=1) > 0.5
             value = jnp.where(enough, mean(value), jnp.nan)
             gradient = jnp.sum(jnp.where(fine[..., None], gradient, 0.0) * share[..., None], axis=1)
             average = lambda v: jnp.mean(v, axis=1) if jnp.issubdtype(v.dtype, jnp.floating) else jnp.any(v, axis=1)  # noqa: E731

@@ -14,7 +14,6 @@ from typing import Any
 import jax
 import numpy as np
 
-import diffeed
 from optimize.descent import Line, Progress, begin
 from optimize.evaluate import Counts
 from optimize.problem import Problem
@@ -28,10 +27,8 @@ class JournalError(Exception):
 
 def fingerprint(problem: Problem) -> str:
     """What a search belongs to: the study (budgets aside) and the scenes as run."""
-    study = problem.study.model_dump(mode="json")
-    study["search"] = {k: v for k, v in study["search"].items() if k not in ("seconds", "iterations", "patience", "goal")}
-    scenes = [diffeed.scene_text(s) for s in problem.scenes]
-    return hashlib.sha256(json.dumps([study, scenes], sort_keys=True).encode()).hexdigest()
+    search = problem.study.search.model_dump(mode="json", exclude={"seconds", "iterations", "patience", "goal"})
+    return hashlib.sha256(json.dumps([search, problem.key], sort_keys=True).encode()).hexdigest()
 
 
 class Journal:
@@ -70,7 +67,9 @@ class Journal:
             self._lines.flush()
             _write_arrays(self.folder / STATE, _pack(progress, fingerprint(self.problem)))
         except OSError as error:
-            raise JournalError(f"the search could not be written to {self.folder}: {error.strerror or error}") from error
+            raise JournalError(
+                f"the search could not be written to {self.folder}: {error.strerror or error}"
+            ) from error
 
     def close(self) -> None:
         if self._lines is not None:
@@ -83,7 +82,9 @@ class Journal:
             with np.load(path, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files}
             if str(arrays["fingerprint"]) != fingerprint(self.problem):
-                raise JournalError(f"{self.folder} holds the search of another study; name another folder, or add --force")
+                raise JournalError(
+                    f"{self.folder} holds the search of another study; name another folder, or add --force"
+                )
             return _unpack(arrays, self.problem)
         except (OSError, ValueError, KeyError) as error:
             raise JournalError(f"{path} cannot be read: {error}") from error
@@ -94,9 +95,7 @@ def read_history(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / HISTORY).read_text("utf-8").splitlines()]
 
 
-_ARRAYS = tuple(
-    f.name for f in dataclasses.fields(Progress) if f.name not in ("state", "counts", "reason")
-)
+_ARRAYS = tuple(f.name for f in dataclasses.fields(Progress) if f.name not in ("state", "counts", "reason"))
 
 
 def _pack(progress: Progress, mark: str) -> dict[str, np.ndarray]:
@@ -111,7 +110,7 @@ def _unpack(arrays: dict[str, np.ndarray], problem: Problem) -> Progress:
     """A search that had ended goes on: its reason is not kept."""
     fresh = begin(problem)
     kinds = {f.name: type(getattr(fresh, f.name)) for f in dataclasses.fields(Progress)}
-    given = {n: kinds[n](arrays[n]) if kinds[n] in (int, float) else arrays[n] for n in _ARRAYS}
+    given: dict[str, Any] = {n: kinds[n](arrays[n]) if kinds[n] in (int, float) else arrays[n] for n in _ARRAYS}
     leaves, structure = jax.tree.flatten(fresh.state)
     state = structure.unflatten([arrays[f"state.{k}"] for k in range(len(leaves))])
     return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])))

@@ -6,12 +6,12 @@ import optax
 
 from optimize.study import Search
 
-_LEFT_OUT = ("lbfgs", "sophia", "scale", "multi_transform", "masked", "polyak_sgd", "optimistic_gradient_descent")
+_LEFT_OUT = ("lbfgs", "sophia", "multi_transform", "masked", "polyak_sgd", "optimistic_gradient_descent")
 
 
 def _is_optimiser(name: str) -> bool:
     made = getattr(optax, name, None)
-    if not callable(made) or name.startswith("_") or name in _LEFT_OUT:
+    if not callable(made) or name.startswith(("_", "scale_")) or name in _LEFT_OUT:
         return False
     try:
         wanted = inspect.signature(made).parameters

@@ -57,8 +57,8 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, unit: str = "", ax: 
     for i, (path, way, gain) in enumerate(rows):
         at = np.asarray(diffeed.get(scene, path))
         tip = at + way * longest * max(gain / rows[0][2], 0.15)
-        ax.annotate("", xy=tuple(tip), xytext=tuple(at), zorder=9,
-                    arrowprops={"arrowstyle": "-|>", "color": plot_style.COLORS[1], "lw": 1.6, "shrinkA": 0, "shrinkB": 0})  # fmt: skip
+        arrow = {"arrowstyle": "-|>", "color": plot_style.COLORS[1], "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", xy=tuple(tip), xytext=tuple(at), zorder=9, arrowprops=arrow)
         if i < 4:
             ax.annotate(f"{gain:.2g}", xy=tuple(tip), xytext=(3, 3), textcoords="offset points", zorder=10,
                         fontsize=plot_style.SMALL, color=plot_style.COLORS[1])  # fmt: skip

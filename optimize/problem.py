@@ -1,6 +1,9 @@
 """A study made ready: scene, media and terms looked up and checked, and the loss as a pure function of the unit vector."""
 
 import difflib
+import functools
+import hashlib
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -67,6 +70,13 @@ class Problem:
     def variables(self) -> tuple[Any, ...]:
         return tuple(self.study.variables.values())
 
+    @functools.cached_property
+    def key(self) -> str:
+        """Equal for problems whose runs and terms are the same, however they are searched."""
+        study = self.study.model_dump(mode="json", exclude={"search", "title"})
+        text = json.dumps([study, [diffeed.scene_text(s) for s in self.scenes]], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(self.study.variables)
@@ -103,7 +113,7 @@ class Problem:
 class Settings(NamedTuple):
     """What a stage changes: easier contact (traced), run length (static)."""
 
-    smoothing: float = 1.0
+    smoothing: Any = 1.0
     duration: float | None = None
 
 
@@ -221,7 +231,13 @@ def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None
     start = free.unit(tuple(study.variables.values()), [free.start_of(v, base) for v in study.variables.values()])
     weights = np.array([m.weight for m in study.media.values()] or [1.0])
     return Problem(
-        study, tuple(scenes.values()), tuple(scenes), weights, tuple(filter(None, goals)), tuple(filter(None, limits)), start
+        study,
+        tuple(scenes.values()),
+        tuple(scenes),
+        weights,
+        tuple(filter(None, goals)),
+        tuple(filter(None, limits)),
+        start,
     )
 
 
@@ -275,7 +291,9 @@ def _resolved(
     parts = _parts(where, term, spec, scene, problems)
     if term.at and spec.at not in scene.sensors:
         known = ", ".join(sorted(scene.sensors)) or "none in this scene"
-        problems.append(f"{where}.at must name a sensor ({known}), but is {'missing' if not spec.at else repr(spec.at)}")
+        problems.append(
+            f"{where}.at must name a sensor ({known}), but is {'missing' if not spec.at else repr(spec.at)}"
+        )
     if not term.at and spec.at:
         problems.append(f'{where}.at is only for arrivals; "{spec.measure}" takes none')
     return Asked(name, term, parts, spec.at or "", spec) if len(problems) == before else None
@@ -309,6 +327,7 @@ def _setting_problems(study: Study) -> Iterator[str]:
         near = difflib.get_close_matches(study.search.name, OPTIMISERS, 1)
         hint = f'; did you mean "{near[0]}"?' if near else ""
         yield f'search.name must be an optimiser of optax ({", ".join(OPTIMISERS)}), but is "{study.search.name}"{hint}'
-    spans = any("spans" in TERMS[s.measure].observe for s in (*study.objective.values(), *study.limits.values()) if s.measure in TERMS)
+    measured = [s.measure for s in (*study.objective.values(), *study.limits.values()) if s.measure in TERMS]
+    spans = any("spans" in TERMS[name].observe for name in measured)
     if spans and study.method != "linear_euler":
         yield f'method must be "linear_euler" for measures of the spans between nips, but is "{study.method}"'

@@ -69,7 +69,9 @@ def print_result(console: "Console", result: Result) -> None:
     """Verdicts, then variables, goals and limits before and after."""
     problem, before, after = result.problem, result.before, result.after
     word = "better" if result.improved else "no better point was found"
-    console.print(f"{problem.study.title or problem.study.scene}: {word}. The search ended: {result.reason}.", style="bold")
+    console.print(
+        f"{problem.study.title or problem.study.scene}: {word}. The search ended: {result.reason}.", style="bold"
+    )
     for m, name in enumerate(problem.media):
         where = f"{name}: " if name else ""
         console.print(f"  {where}before {before.verdicts[m].sentence()}")
@@ -107,7 +109,13 @@ def _label(medium: str, asked: Any) -> str:
 
 def _wanted(spec: Goal | Limit) -> str:
     if isinstance(spec, Goal):
-        return "least" if spec.target is None and spec.weight > 0 else "most" if spec.target is None else f"{spec.target:g}"
+        return (
+            "least"
+            if spec.target is None and spec.weight > 0
+            else "most"
+            if spec.target is None
+            else f"{spec.target:g}"
+        )
     low = "" if spec.at_least is None else f">= {spec.at_least:g}"
     high = "" if spec.at_most is None else f"<= {spec.at_most:g}"
     return " and ".join(filter(None, (low, high)))

@@ -1,6 +1,7 @@
 """The house plan: imports run one way, importing is light and changes nothing."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -111,3 +112,22 @@ assert "matplotlib" not in sys.modules and "optax" not in sys.modules
 assert not jax._src.xla_bridge._backends, "importing started a backend"
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_the_simulator_knows_nothing_of_the_design_loop():
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text()
+        assert "import optax" not in text, path
+        assert "optimize" not in {n.split(".")[0] for n in re.findall(r"^\s*(?:from|import) (\S+)", text, re.M)}, path
+
+
+def test_the_design_loop_uses_public_names_of_the_simulator():
+    """Its top names, and the modules that `diffeed` offers beside them."""
+    import diffeed
+
+    offered = {"measures", "plot", "plot_style", "player", "tuning"}
+    for path in (PACKAGE.parent / "optimize").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "diffeed":
+                names = {a.name for a in node.names} if node.module == "diffeed" else {node.module.split(".")[1]}
+                assert names <= offered | set(diffeed.__all__), (path, names)

@@ -204,6 +204,7 @@ def test_float32_runs_and_says_so():
     assert float(run.guides["t"].force[-1]) == pytest.approx(8e-7 * 40 * 0.1 * 210 * 9.81, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_another_stopped():
     scene = diffeed.load_scene("film_feeder")
     whole = diffeed.simulate(scene, duration=0.02, dt=5e-4, frames=3, observe=("nips", "energy"))

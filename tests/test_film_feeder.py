@@ -70,6 +70,7 @@ def test_converges_with_first_order_and_a_coarse_step_is_close(rest):
     assert errors[0, :21].max() < 0.15  # dt = 5e-4 s up to 0.4 s
 
 
+@pytest.mark.slow
 def test_larger_rollers_feed_faster():
     """At given shaft speeds that ramp up, d(lead)/d(radius) is the angle turned: 30 rad/s over 0.1 s less half the ramp."""
     ramp = diffeed.Profile(times=(0.0, 0.05), values=(0.0, -30.0))

@@ -84,6 +84,7 @@ def test_drag_shows_as_friction_and_torque():
     assert float(drive.slip[-1]) == pytest.approx(3.0 * share / np.sqrt(1.0 - share**2), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_energy_balance_closes_as_the_step_shrinks():
     gaps = []
     for dt in (2e-4, 5e-5):
@@ -108,6 +109,7 @@ def test_gaps_reach_parts_that_nothing_touches(run):
     assert found.features[-1] == "a.tail"
 
 
+@pytest.mark.slow
 def test_a_guide_out_of_reach_has_a_gap_with_a_gradient():
     def gap(height):
         scene = nip(guides={"roof": LineGuide(start=(90.0, height), end=(4.0, height))}, gravity=(0.0, 0.0))

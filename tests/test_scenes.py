@@ -19,7 +19,7 @@ OUTCOMES: dict[str, list[tuple[dict[str, float], str]]] = {
         ({}, "jammed"),
         ({"guides.deflector.start[0]": 35.0}, "passed"),
         ({"guides.deflector.end[0]": 47.0}, "passed"),
-        ({"guides.deflector.friction": 0.15}, "passed"),
+        ({"guides.deflector.friction": 0.12}, "passed"),
         ({"rollers.pinch_1.preload": 0.6}, "passed"),
     ],
     "long_path": [({}, "passed")],

@@ -68,6 +68,7 @@ def test_restitution(steps_per_contact: int, tolerance: float) -> None:
     np.testing.assert_allclose(found, exact_restitutions(), rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_restitution_at_first_order() -> None:
     exact = exact_restitutions()
     coarse, fine, finest = (bounces(ORDER_ONE, n, MANY) for n in (200, 400, 2000))

@@ -101,6 +101,7 @@ def test_start_of_a_nip() -> None:
         assert_started(started(entry, FEW, ORDER_FOUR), entry)
 
 
+@pytest.mark.slow
 def test_start_of_a_nip_at_first_order() -> None:
     for entry in case(SINGLE)["reference"]:
         assert_started(extrapolated(started(entry, MANY, ORDER_ONE), started(entry, TWICE, ORDER_ONE)), entry)

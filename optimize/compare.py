@@ -1,0 +1,188 @@
+"""How many simulations the gradient saves: the same objective for the gradient, differential evolution and Nelder-Mead.
+
+All three see one number: the objective with broken limits punished by the study's penalty. A gradient counts as its
+measured cost in forward runs.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from optimize.descent import Progress, begin, search
+from optimize.evaluate import Evaluator
+from optimize.problem import Problem, Settings, loss
+
+
+class Trace(NamedTuple):
+    """Best merit so far against cost in forward runs."""
+
+    name: str
+    cost: np.ndarray
+    best: np.ndarray
+
+
+class Comparison(NamedTuple):
+    """`ratio`: cost of a value with its gradient, in forward runs of the same batch size one."""
+
+    traces: list[Trace]
+    target: float
+    ratio: float
+    variables: int
+
+
+class _Enough(Exception):
+    pass
+
+
+def merit(problem: Problem) -> Callable[[np.ndarray], float]:
+    """The punished objective of a unit point, nothing eased; infinity where the run fails."""
+    none = jnp.zeros((len(problem.media), problem.sides))
+    penalty = jnp.asarray(problem.study.search.penalty)
+
+    def of(unit: Any) -> Any:
+        value, seen = loss(problem, unit, none, penalty, Settings())
+        return jnp.where(jnp.all(seen.ok) & jnp.isfinite(value), value, jnp.inf)
+
+    compiled = jax.jit(of)
+    return lambda unit: float(compiled(jnp.asarray(np.clip(unit, 0.0, 1.0))))
+
+
+def cost_of_gradient(problem: Problem) -> float:
+    """Median time of a value with gradient over that of a value, both compiled, one point."""
+    none = np.zeros((1, len(problem.media), problem.sides))
+    evaluator, plain = Evaluator(problem), merit(problem)
+    unit = problem.start[None]
+    samples = len(evaluator.draws)
+
+    def spent(function: Callable[[], Any]) -> float:
+        function()
+        times = []
+        for _ in range(5):
+            begun = time.perf_counter()
+            function()
+            times.append(time.perf_counter() - begun)
+        return float(np.median(times))
+
+    whole = spent(lambda: evaluator.gradients(unit, none, np.full(1, problem.study.search.penalty), Settings()))
+    return (
+        max(1.0, whole / spent(lambda: plain(problem.start)))
+        if samples == 1
+        else whole / spent(lambda: plain(problem.start))
+    )
+
+
+def compare(problem: Problem, budget: int, say: Callable[[str], None] = lambda text: None) -> Comparison:
+    """Run the three searches, each up to `budget` forward runs. The target is 95 % of the gradient's way down."""
+    ratio = cost_of_gradient(problem)
+    say(f"a value with its gradient costs {ratio:.1f} forward runs")
+    of = merit(problem)
+    at_start = of(problem.start)
+    traces = [_gradient(problem, of, ratio, budget, at_start)]
+    say(f"gradient: {traces[0].best[-1]:.5g} after {traces[0].cost[-1]:.0f} forward runs, from {at_start:.5g}")
+    for name, run in (("differential evolution", _evolution), ("Nelder-Mead", _simplex)):
+        traces.append(_traced(name, of, run, problem, budget, at_start))
+        say(f"{name}: {traces[-1].best[-1]:.5g} after {traces[-1].cost[-1]:.0f} forward runs")
+    target = at_start - 0.95 * (at_start - traces[0].best[-1])
+    return Comparison(traces, float(target), ratio, len(problem.names))
+
+
+def _gradient(problem: Problem, of: Callable[[np.ndarray], float], ratio: float, budget: int, at_start: float) -> Trace:
+    cost, best = [1.0], [at_start]
+    progress: Progress = begin(problem)
+    for _ in search(problem, progress):
+        spent = ratio * progress.iteration
+        if spent > budget:
+            break
+        # Scored as the others are; the scoring itself is not charged, for the search has that value already.
+        cost.append(spent)
+        best.append(min(best[-1], of(progress.good[0])))
+    return Trace("gradient", np.array(cost), np.array(best))
+
+
+def _traced(
+    name: str, of: Callable[[np.ndarray], float], run: Any, problem: Problem, budget: int, at_start: float
+) -> Trace:
+    cost, best = [1.0], [at_start]
+
+    def counted(unit: np.ndarray) -> float:
+        if len(cost) > budget:
+            raise _Enough
+        value = of(unit)
+        cost.append(cost[-1] + 1.0)
+        best.append(min(best[-1], value))
+        return value if np.isfinite(value) else 1e12
+
+    with suppress(_Enough):
+        run(problem, counted)
+    return Trace(name, np.array(cost), np.array(best))
+
+
+def _evolution(problem: Problem, of: Callable[[np.ndarray], float]) -> None:
+    from scipy.optimize import differential_evolution
+
+    n = len(problem.names)
+    differential_evolution(
+        of, [(0.0, 1.0)] * n, x0=problem.start, rng=problem.study.search.seed, polish=False, maxiter=10_000
+    )
+
+
+def _simplex(problem: Problem, of: Callable[[np.ndarray], float]) -> None:
+    from scipy.optimize import minimize
+
+    n = len(problem.names)
+    sides = np.where(problem.start[None] > 0.5, -0.15, 0.15) * np.eye(n)
+    first = np.concatenate([problem.start[None], problem.start[None] + sides])
+    minimize(of, problem.start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * n,
+             options={"initial_simplex": first, "maxfev": 10**9, "maxiter": 10**9, "xatol": 1e-6, "fatol": 1e-9})  # fmt: skip
+
+
+def reached(trace: Trace, target: float) -> float | None:
+    """Cost at which a trace reaches the target."""
+    found = np.flatnonzero(trace.best <= target)
+    return float(trace.cost[found[0]]) if len(found) else None
+
+
+def table(found: Comparison) -> str:
+    """Simulations to the target, and what each had in the end."""
+    base = reached(found.traces[0], found.target)
+    lines = [
+        f"{found.variables} variables; a value with its gradient costs {found.ratio:.1f} forward runs; target {found.target:.5g}",
+        f"{'search':<24}{'forward runs':>14}{'times the gradient':>20}{'best at the end':>18}",
+    ]
+    for trace in found.traces:
+        cost = reached(trace, found.target)
+        often = "-" if cost is None or not base else f"{cost / base:.1f}"
+        if cost is None and base:
+            often = f"> {trace.cost[-1] / base:.1f}"
+        shown = "not reached" if cost is None else f"{cost:.0f}"
+        lines.append(f"{trace.name:<24}{shown:>14}{often:>20}{trace.best[-1]:>18.5g}")
+    return "\n".join(lines)
+
+
+def write_comparison(folder: Path, found: Comparison) -> list[str]:
+    """Numbers and a picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from diffeed import plot_style
+
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = {t.name: {"forward_runs": reached(t, found.target), "best": float(t.best[-1])} for t in found.traces}
+    data = {"target": found.target, "gradient_cost": found.ratio, "variables": found.variables, "searches": rows}
+    (folder / "comparison.json").write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    ax = plot_style.axes(None)
+    for i, trace in enumerate(found.traces):
+        ax.step(trace.cost, trace.best, where="post", label=trace.name, **plot_style.line(i))
+    ax.axhline(found.target, color=plot_style.FAINT, linewidth=0.8)
+    ax.set_xscale("log")
+    plot_style.label(ax, "Forward runs", "Best punished objective")
+    plot_style.legend_beside(ax)
+    ax.figure.savefig(folder / "comparison.png")  # type: ignore[union-attr]
+    return ["comparison.json", "comparison.png"]

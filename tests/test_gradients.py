@@ -1,0 +1,117 @@
+"""Gradients of runs: the two modes, the check against differences and trend, and what breaks one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from stand_in_nip import nip
+
+import diffeed
+from diffeed import contact_law, gradient_trust
+
+SETTLED = nip(initial="settled")
+"""From a start that closes the nip by an impact, the gradient is exact and useless."""
+PATHS = ("rollers.drive.radius", "rollers.pinch.preload", "sheets.strip.youngs_modulus")
+
+
+def fed(scene, run):
+    return run.sheets["strip"].nodes[-1, 0, 0]
+
+
+@pytest.mark.slow
+def test_both_modes_agree_and_a_scene_of_derivatives_holds_the_same():
+    kept = {
+        mode: diffeed.value_and_gradient(fed, SETTLED, PATHS, mode=mode, dt=5e-4, frames=2)
+        for mode in ("forward", "reverse")
+    }
+    whole = diffeed.value_and_gradient(fed, SETTLED, dt=5e-4, frames=2)[1]
+    for path in PATHS:
+        forward, reverse = (float(kept[m][1][path]) for m in kept)
+        assert forward == pytest.approx(reverse, rel=1e-9)
+        assert float(diffeed.get(whole, path)) == pytest.approx(reverse, rel=1e-9)
+    # The drive turns 0.8 rad in 0.03 s: that is what the lead gains per mm of radius, creep aside.
+    assert float(kept["forward"][1][PATHS[0]]) == pytest.approx(0.8, rel=0.05)
+
+
+def test_the_mode_follows_the_counts():
+    few, many = (diffeed.gradient_plan(nip(), n, dt=5e-4) for n in (2, 50))
+    assert (few.mode, many.mode) == ("forward", "reverse")
+    assert many.steps == 60
+    assert many.memory > few.memory
+    assert "reverse mode for 50 numbers through 60 steps" in many.sentence()
+    with pytest.raises(ValueError, match="mode must be one of"):
+        diffeed.gradient_plan(nip(), 2, mode="backwards")
+    with pytest.raises(ValueError, match="reverse"):
+        diffeed.value_and_gradient(fed, nip(), mode="forward")
+
+
+@pytest.mark.slow
+def test_the_check_calls_a_good_gradient_useful():
+    found = diffeed.gradient_check(SETTLED, PATHS[:1], dt=5e-4, frames=4, samples=16)
+    (row,) = found.rows
+    assert row.verdict == "useful"
+    assert row.forward == pytest.approx(row.reverse, rel=1e-9)
+    assert row.difference == pytest.approx(row.forward, rel=1e-5)
+    assert row.trend == pytest.approx(row.forward, rel=0.02)
+    assert "useful" in str(found)
+    assert found.plot().get_xlabel() == "Time (s)"
+
+
+def jittery(x):
+    """Slope 2 by trend, but a fine ripple rules the local derivative: like a lead edge after an unresolved impact."""
+    return jnp.stack([2.0 * x[0], 2.0 * x[0] + 1e-3 * jnp.sin(1e5 * x[0])])
+
+
+def test_the_check_calls_an_exact_gradient_useless_where_it_is():
+    clock = np.array([0.1, 0.2])
+    found = gradient_trust.check_function(
+        jittery, np.array([1.0]), ("radius",), ("mm",), np.array([0.05]), clock, times=clock, samples=64
+    )
+    good, bad = found.rows
+    assert (good.verdict, bad.verdict) == ("useful", "useless")
+    assert bad.trend == pytest.approx(2.0, abs=0.05)
+    assert bad.forward == pytest.approx(2.0 + 100.0 * np.cos(1e5), rel=1e-9)
+    assert bad.signal == pytest.approx(0.1 / (1e-3 / np.sqrt(2)), rel=0.3)
+
+
+def test_a_number_without_effect_is_flat():
+    found = gradient_trust.check_function(
+        lambda x: jnp.stack([3.0 + 0.0 * x[0]]), np.array([1.0]), ("idle",), ("mm",), np.array([0.1]), np.array([1.0])
+    )
+    assert found.rows[0].verdict == "flat"
+
+
+def test_a_sound_gradient_has_nothing_to_explain():
+    found = diffeed.explain_gradient(nip(), duration=0.005, dt=5e-4)
+    assert found.step == -1
+    assert "finite" in found.sentence()
+
+
+@pytest.mark.slow
+def test_the_first_bad_step_pair_and_term_are_named(monkeypatch):
+    """Friction without its guard: the square root of v^2 has no slope where a contact does not slide."""
+
+    def unguarded(surface, v_t):
+        return surface.friction / jnp.sqrt(v_t * v_t)
+
+    scene = nip(speed=0.0)  # at rest: nothing slides
+    jax.clear_caches()
+    monkeypatch.setattr(contact_law, "friction_secant", unguarded)
+    found = diffeed.explain_gradient(scene, duration=0.0025, dt=5e-4)
+    jax.clear_caches()
+    assert found.step == 1
+    assert found.part in ("drive", "pinch")
+    assert found.feature.startswith("strip")
+    assert "friction" in found.term or "secant" in found.term
+    assert found.part in found.sentence()
+
+
+def test_a_guide_that_nothing_has_reached_has_a_gap_with_a_gradient():
+    scene = diffeed.put(nip(), "guides", {"wall": diffeed.LineGuide(start=(30.0, -5.0), end=(30.0, 5.0))})
+    scene = diffeed.scene(**vars(scene))
+
+    def gap(scene, run):
+        return run.guides["wall"].gap[-1]
+
+    _, slope = diffeed.value_and_gradient(gap, scene, ["guides.wall.start"], dt=5e-4, frames=2)
+    assert float(jnp.abs(slope["guides.wall.start"][0])) > 0.1

@@ -1,0 +1,110 @@
+"""`python -m optimize`, as a user meets it."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from stand_in_nip import nip
+
+import diffeed
+from optimize.cli import main
+
+ROOT = Path(__file__).parent.parent
+STUDY = """
+title = "A nip of 4 N"
+scene = "nip.toml"
+duration = 0.01
+frames = 5
+
+[variables.preload]
+path = "rollers.pinch.preload"
+bounds = [1.0, 6.0]
+
+[objective.force]
+measure = "nip_force"
+of = "pinch"
+target = 4.0
+
+[search]
+learning_rate = 0.1
+iterations = 6
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    diffeed.save_scene(nip(), folder / "nip.toml")
+    (folder / "study.toml").write_text(STUDY)
+    return folder
+
+
+def run(place, *words):
+    return subprocess.run(
+        [sys.executable, "-m", "optimize", *words], cwd=place, capture_output=True, text=True, timeout=300,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(place), "PYTHONPATH": str(ROOT), "COLUMNS": "110"},
+    )  # fmt: skip
+
+
+def test_help_needs_nothing_heavy():
+    code = """
+import sys
+from click.testing import CliRunner
+from optimize.cli import main
+for words in ([], ["design"], ["check"], ["compare"], ["studies"]):
+    done = CliRunner().invoke(main, [*words, "--help"])
+    assert done.exit_code == 0, done.output
+heavy = {"jax", "numpy", "optax", "pydantic", "matplotlib", "rich"} & set(sys.modules)
+assert not heavy, heavy
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_design_writes_scene_numbers_and_pictures_and_resumes(place):
+    done = run(place, "design", "study.toml", "--out", "better", "--iterations", "3")
+    assert done.returncode == 0, done.stderr
+    assert "A nip of 4 N: better" in done.stdout
+    assert re.search(r"preload +N +3 ", done.stdout)
+    folder = place / "better"
+    summary = json.loads((folder / "result.json").read_text())
+    assert summary["improved"]
+    assert summary["iterations"] == 3
+    improved = diffeed.load_scene(folder / "scene.toml")
+    assert float(improved.rollers["pinch"].preload) == pytest.approx(summary["after"]["variables"]["preload"])
+    names = (
+        "before_after.html",
+        "history.png",
+        "variables.png",
+        "blame_before.png",
+        "blame_after.png",
+        "when_before.png",
+    )
+    for name in names:
+        assert (folder / name).stat().st_size > 5000, name
+    again = run(place, "design", "study.toml", "--out", "better")
+    assert again.returncode == 2
+    assert "--resume" in again.stderr
+    more = run(place, "design", "study.toml", "--out", "better", "--resume", "--no-pictures")
+    assert more.returncode == 0, more.stderr
+    lines = (folder / "history.jsonl").read_text().splitlines()
+    assert [json.loads(line)["iteration"] for line in lines] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_bad_study_is_refused_without_a_traceback(place):
+    bad = place / "bad.toml"
+    bad.write_text(STUDY.replace("preload", "prelaod").replace("target", "targt"))
+    done = run(place, "design", "bad.toml", "--out", "nothing")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert 'objective.force.targt is not a field here; did you mean "target"?' in done.stderr
+    assert not (place / "nothing").exists()
+
+
+def test_studies_are_listed():
+    done = CliRunner().invoke(main, ["studies"])
+    assert done.exit_code == 0
+    assert "nip_slip" in done.output

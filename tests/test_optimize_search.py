@@ -1,0 +1,203 @@
+"""The search on a nip whose answer is known: the force of a nip is its preload and the spring's share (no gravity)."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from stand_in_nip import nip
+
+import optimize
+from optimize import descent
+from optimize.design import design, finish
+from optimize.evaluate import Evaluator
+from optimize.journal import Journal, JournalError, read_history
+from optimize.problem import Settings, make_problem
+from optimize.study_file import make_study
+
+
+@pytest.fixture(autouse=True)
+def _as_users_have_it():
+    """Optimisers of optax mix integer counts with floats."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+TABLE = {
+    "scene": "stand in",
+    "duration": 0.01,
+    "dt": 5e-4,
+    "frames": 5,
+    "variables": {"preload": {"path": "rollers.pinch.preload", "bounds": [1.0, 6.0]}},
+    "objective": {"force": {"measure": "nip_force", "of": "pinch", "target": 4.0}},
+    "search": {"learning_rate": 0.1, "schedule": "cosine", "iterations": 40, "patience": 40},
+}
+
+
+def problem_of(**changes):
+    search = TABLE["search"] | changes.pop("search", {})
+    return make_problem(make_study(TABLE | {"search": search} | changes), scene=nip())
+
+
+def test_adam_finds_the_preload_of_a_wanted_force():
+    result = design(problem_of())
+    assert result.improved
+    assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.02)
+    assert result.reason
+    assert result.progress.counts.gradients == result.progress.iteration
+
+
+@pytest.mark.slow
+def test_lbfgs_finds_it_in_a_few_iterations():
+    result = design(problem_of(search={"name": "lbfgs", "iterations": 6}))
+    assert result.after.goals[0, 0] == pytest.approx(4.0, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_limit_is_kept_and_is_active():
+    """Least force, but no less than 2.5 N: the answer is 2.5 N."""
+    result = design(
+        problem_of(
+            objective={"force": {"measure": "nip_force", "of": "pinch"}},
+            limits={"grip": {"measure": "nip_force", "of": "pinch", "at_least": 2.5}},
+            search={"iterations": 60, "patience": 60},
+        )
+    )
+    assert result.after.violation <= 0.01
+    assert result.after.limits[0, 0] == pytest.approx(2.5, abs=0.05)
+
+
+@pytest.mark.slow
+def test_the_multiplier_is_the_price_of_the_limit():
+    """At the answer the multiplier equals d objective/d limit = 1 N/N."""
+    problem = problem_of(
+        objective={"force": {"measure": "nip_force", "of": "pinch"}},
+        limits={"grip": {"measure": "nip_force", "of": "pinch", "at_least": 2.5}},
+        search={"name": "lbfgs", "iterations": 48, "patience": 48},
+    )
+    progress = descent.begin(problem)
+    for _ in descent.search(problem, progress):
+        pass
+    assert progress.multipliers[0, 0, 0] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_media_are_weighed_and_the_worst_rules():
+    """Two media whose forces differ by 1 N: the worst case balances the misses, a weighed mean does not."""
+    thick = {"rollers.pinch.spring": 20.0, "sheets.strip.thickness": 0.25}
+    media = {"thin": {"set": {}}, "thick": {"set": thick, "weight": 9.0}}
+    mean, worst = (design(problem_of(media=media, over=over)).after.goals[:, 0] - 4.0 for over in ("mean", "worst"))
+    assert worst[0] == pytest.approx(-worst[1], abs=0.05)
+    assert abs(mean[1]) < 0.7 * abs(mean[0])
+
+
+def test_a_start_that_fails_is_rolled_back_and_spares_the_others(monkeypatch):
+    problem = problem_of(search={"starts": 3, "iterations": 12})
+    whole = Evaluator.gradients
+
+    def broken(self, unit, multipliers, penalty, settings):
+        found = whole(self, unit, multipliers, penalty, settings)
+        bad = unit[:, 0] > 0.7  # as if every run beyond failed
+        found.value[bad], found.gradient[bad] = np.nan, np.nan
+        return found
+
+    monkeypatch.setattr(Evaluator, "gradients", broken)
+    monkeypatch.setattr(descent, "first_points", lambda problem: np.array([[0.4], [0.9], [0.2]]))
+    progress = descent.begin(problem)
+    for _ in descent.search(problem, progress):
+        pass
+    assert np.isfinite(progress.merit[[0, 2]]).all()
+    assert not np.isfinite(progress.merit[1])
+    assert (progress.best[[0, 2]] <= 0.7).all()
+
+
+def test_starts_are_spread_about_the_study_s_own_and_do_not_change():
+    problem = problem_of(search={"starts": 5, "spread": 0.1, "seed": 3})
+    points = descent.first_points(problem)
+    assert points.shape == (5, 1)
+    np.testing.assert_array_equal(points[0], problem.start)
+    assert (np.abs(points - problem.start) <= 0.1).all()
+    assert len(np.unique(points)) == 5
+    np.testing.assert_array_equal(points, descent.first_points(problem))
+
+
+@pytest.mark.slow
+def test_the_expected_gradient_averages_over_the_tolerance():
+    exact, expected = problem_of(), problem_of(search={"gradient": "expected", "samples": 8})
+    none = np.zeros((1, 1, 0))
+    found = [Evaluator(p).gradients(p.start[None], none, np.ones(1), Settings()) for p in (exact, expected)]
+    # The objective is a parabola: its mean gradient over a symmetric spread is that of its middle.
+    assert found[1].gradient[0, 0] == pytest.approx(found[0].gradient[0, 0], rel=1e-2)
+    assert found[1].value[0] > found[0].value[0]
+
+
+def test_resume_after_a_kill_gives_the_same_iterates(tmp_path):
+    whole = design(problem_of(search={"iterations": 9}), tmp_path / "whole")
+    problem = problem_of(search={"iterations": 9})
+    journal = Journal(tmp_path / "cut", problem)
+    progress = journal.start(resume=False, force=False)
+    for _, line in descent.search(problem, progress, journal.save):
+        if line.iteration == 4:
+            break
+    journal.close()
+    with (tmp_path / "cut" / "history.jsonl").open("a") as stream:
+        stream.write('{"iteration": 5, "half a li')  # killed while writing
+    design(problem_of(search={"iterations": 9}), tmp_path / "cut", resume=True)
+    lines = [read_history(tmp_path / name) for name in ("whole", "cut")]
+    for a, b in zip(*lines, strict=True):
+        a.pop("seconds"), b.pop("seconds")
+        assert a == b
+    assert len(lines[0]) == whole.progress.iteration
+
+
+def test_a_folder_is_not_overwritten_and_belongs_to_its_study(tmp_path):
+    design(problem_of(search={"iterations": 2}), tmp_path)
+    with pytest.raises(JournalError, match="already holds a search"):
+        design(problem_of(search={"iterations": 2}), tmp_path)
+    with pytest.raises(JournalError, match="another study"):
+        design(problem_of(dt=2.5e-4), tmp_path, resume=True)
+    with pytest.raises(JournalError, match="no search to resume"):
+        design(problem_of(), tmp_path / "empty", resume=True)
+    design(problem_of(search={"iterations": 3}), tmp_path, force=True)
+    assert [json.loads(x)["iteration"] for x in (tmp_path / "history.jsonl").read_text().splitlines()] == [1, 2, 3]
+
+
+@pytest.mark.slow
+def test_stages_ease_the_contact_and_end_at_the_hard_settings():
+    problem = problem_of(
+        search={"stages": [{"iterations": 4, "smoothing": 5.0, "duration": 0.005}, {"iterations": 20}]}
+    )
+    progress = descent.begin(problem)
+    lines = [line for _, line in descent.search(problem, progress)]
+    assert [line.stage for line in lines[:4]] == [0, 0, 0, 0]
+    assert lines[-1].stage == 1
+    result = finish(problem, progress, [line._asdict() for line in lines])
+    assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("search", "words"),
+    [
+        ({"goal": 0.5}, "reached the goal"),
+        ({"seconds": 1e-3}, "time of 0.001 s"),
+        ({"patience": 3, "gain": 0.9, "iterations": 60}, "no gain"),
+        ({"iterations": 3}, "3 iterations are done"),
+    ],
+)
+def test_the_reason_for_stopping_is_given(search, words):
+    problem = problem_of(search=search)
+    progress = descent.begin(problem)
+    for _ in descent.search(problem, progress):
+        pass
+    assert words in progress.reason
+
+
+def test_ctrl_c_leaves_a_usable_result():
+    def press(problem, progress, line):
+        if line.iteration == 4:
+            raise KeyboardInterrupt
+
+    result = design(problem_of(), watch=press)
+    assert "stopped by hand after 4" in result.reason
+    assert result.improved
+    assert isinstance(result, optimize.Result)

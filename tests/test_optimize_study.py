@@ -1,0 +1,103 @@
+"""Study files: what is wrong is said all at once, with path, value and what it must be."""
+
+import pytest
+from stand_in_nip import nip
+
+import optimize
+from optimize.problem import make_problem
+from optimize.study_file import load_study, make_study, shipped_studies
+
+GOOD = {
+    "scene": "film_feeder",
+    "variables": {"preload": {"path": "rollers.pinch.preload", "bounds": [1.0, 6.0]}},
+    "objective": {"force": {"measure": "nip_force", "of": "pinch", "target": 4.0}},
+}
+
+
+def problems_of(table, scene=None):
+    with pytest.raises(optimize.StudyError) as caught:
+        make_problem(make_study(table), scene=scene or nip())
+    return caught.value.problems
+
+
+def test_a_good_study_has_no_problems():
+    problem = make_problem(make_study(GOOD), scene=nip())
+    assert problem.names == ("preload",)
+    assert problem.units == ("N",)
+    assert problem.start[0] == pytest.approx((3.0 - 1.0) / 5.0)
+    assert problem.observe == ("nips",)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"objektive": {}}, ["objektive", "objective"]),
+        ({"dt": -1.0}, ["dt", "greater than 0", "-1.0"]),
+        ({"dt": float("nan")}, ["dt", "finite", "nan"]),
+        ({"variables": {}}, ["variables", "at least 1"]),
+        ({"variables": {"a": {"path": "rollers.pinch.preload"}}}, ["variables.a.bounds", "missing"]),
+        ({"variables": {"a": {"bounds": [0, 1]}}}, ["variables.a", "path, shift, turn"]),
+        ({"variables": {"a": {"path": "x", "bounds": [2, 1]}}}, ["variables.a", "lower < upper"]),
+        ({"variables": {"a": {"path": "x", "bounds": [0, 1], "transform": "log"}}}, ["variables.a", "log", "> 0"]),
+        ({"variables": {"a": {"path": "x", "bounds": [0, 1], "sclae": 2}}}, ["variables.a.sclae", '"scale"']),
+        ({"variables": {"a": {"shift": ["rollers.pinch"], "bounds": [0, 1]}}}, ["variables.a", "direction"]),
+        ({"limits": {"b": {"measure": "slip"}}}, ["limits.b", "at_least or at_most"]),
+        ({"search": {"iterations": 0}}, ["search.iterations", "greater than or equal to 1", "0"]),
+        ({"over": "median"}, ["over", "'mean'", "median"]),
+    ],
+)  # fmt: skip
+def test_one_wrong_value_names_path_and_rule(change, words):
+    with pytest.raises(optimize.StudyError) as caught:
+        make_study(GOOD | change)
+    (line,) = caught.value.problems
+    assert all(word in line for word in words), line
+
+
+def test_everything_that_does_not_fit_the_scene_is_said_at_once():
+    table = GOOD | {
+        "variables": {
+            "a": {"path": "rollers.pinch.prelaod", "bounds": [1, 6]},
+            "b": {"path": "rollers.pinch.center", "bounds": [1, 6]},
+            "c": {"path": "rollers.pinch.spring", "bounds": [1, 6]},
+            "d": {"shift": ["sheets.strip"], "direction": [1, 0], "bounds": [-1, 1]},
+        },
+        "objective": {
+            "e": {"measure": "nip_forec", "of": "pinch"},
+            "f": {"measure": "nip_force", "of": "pinhc"},
+            "g": {"measure": "nip_force"},
+            "h": {"measure": "arrival"},
+        },
+        "search": {"name": "lbfg"},
+        "method": "euler",
+        "set": {"rollers.nowhere.radius": 3.0},
+    }
+    found = "\n".join(problems_of(table))
+    for words in (
+        "variables.a.path", 'did you mean "preload"', "variables.b.path must name one number",
+        "variables.c.bounds must hold the start, 0.5", "variables.d: sheets.strip", "objective.e.measure",
+        'did you mean "nip_force"', 'objective.f.of: there is no "pinhc"', "objective.g.of must name",
+        "objective.h.at must name a sensor (gate)", "search.name", 'did you mean "lbfgs"', "method must be one of",
+        "set:",
+    ):  # fmt: skip
+        assert words in found, f"{words}\n--\n{found}"
+
+
+def test_a_scene_that_does_not_hold_is_refused_for_each_medium():
+    table = GOOD | {"media": {"foil": {"set": {"sheets.strip.thickness": -1.0}}}}
+    assert any("media.foil" in p and "thickness" in p for p in problems_of(table))
+
+
+def test_a_file_that_is_none(tmp_path):
+    with pytest.raises(optimize.StudyError, match="no such file"):
+        load_study(tmp_path / "nothing.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("scene = ")
+    with pytest.raises(optimize.StudyError, match="not readable TOML"):
+        load_study(broken)
+
+
+@pytest.mark.parametrize("name", sorted(shipped_studies()))
+def test_shipped_studies_are_sound(name):
+    study = load_study(name)
+    assert study.title
+    assert make_problem(study, name).names
