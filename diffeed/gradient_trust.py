@@ -6,7 +6,7 @@ through runs spread over a designer's step: where the two part, the gradient doe
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,15 +65,6 @@ class GradientCheck(NamedTuple):
 
     def plot(self, name: str | None = None, ax: "Axes | None" = None) -> "Axes":
         return plot(self, name, ax)
-
-
-def lead_edge(scene: Scene, run: Trajectory) -> Array:
-    """(frames,) mm: place of the first sheet's lead edge along its own way (the way is taken as given)."""
-    nodes = run.sheets[min(run.sheets)].nodes[:, 0]
-    velocity = jax.lax.stop_gradient(run.sheets[min(run.sheets)].velocities[:, 0])
-    speed = jnp.sqrt(jnp.sum(velocity**2, axis=1, keepdims=True))
-    way = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), jnp.array([1.0, 0.0]))
-    return jnp.sum((nodes - jax.lax.stop_gradient(nodes)) * way, axis=1)
 
 
 def gradient_check(
@@ -231,8 +222,3 @@ def plot(check: GradientCheck, name: str | None = None, ax: "Axes | None" = None
     plot_style.label(ax, "Time (s)", f"Change of the measure per {row.unit}", name)
     plot_style.legend_beside(ax)
     return ax
-
-
-def all_rows(checks: Sequence[GradientCheck]) -> list[dict[str, Any]]:
-    """Rows of several checks as plain dictionaries, for a file."""
-    return [r._asdict() for c in checks for r in c.rows]

@@ -1,7 +1,8 @@
 """Gradients of a measure of a run: one switch between forward and reverse mode, chosen from the counts if not given.
 
 Forward mode costs about one run per number and no memory; reverse mode some runs for all numbers together and one stored
-state per block of steps (the scan is checkpointed: inside a block the steps are computed again).
+state per step (the scan is checkpointed: a step is computed again when it is pulled back), or, in a long run, one per
+block of steps.
 """
 
 import functools
@@ -16,7 +17,7 @@ from jax import Array
 from diffeed.model import build
 from diffeed.parts import Scene, normalise
 from diffeed.paths import get, put
-from diffeed.rollout import begin, plan, simulate
+from diffeed.rollout import MANY, begin, plan, simulate
 from diffeed.steppers import DEFAULT
 from diffeed.trajectory import Trajectory
 
@@ -28,17 +29,21 @@ FIELDS = 90
 """Arrays per contact pair that one step keeps for its derivative (measured on the shipped scenes)."""
 
 
+KEPT = 8
+"""Arrays per contact pair that a search keeps for the steps that follow (measured likewise)."""
+
+
 class GradientPlan(NamedTuple):
     """How a gradient will be taken."""
 
     mode: str
     numbers: int
     steps: int
-    blocks: int  # stored states: the checkpoints
+    stored: int  # states kept as checkpoints: one per step, or one per block of steps in a long run
     memory: int  # bytes, an estimate
 
     def sentence(self) -> str:
-        kept = f"{self.blocks} stored states" if self.mode == "reverse" else "no stored states"
+        kept = f"{self.stored} stored states" if self.mode == "reverse" else "no stored states"
         return (
             f"{self.mode} mode for {self.numbers} numbers through {self.steps} steps: {kept}, "
             f"about {self.memory / 1e6:.3g} MB"
@@ -60,8 +65,13 @@ def gradient_plan(
     pairs = (bars + len(scene.sheets)) * min(24, len(scene.rollers) + 3 * len(scene.guides))
     step = 8 * (FIELDS * pairs + 3 * (bars + 2 * len(scene.rollers)) ** 2)
     blocks = (counts.frames - 1) * counts.blocks
-    memory = blocks * state + counts.steps * step if chosen == "reverse" else (1 + count) * (state + step)
-    return GradientPlan(chosen, count, counts.total, blocks, memory)
+    short = counts.total <= MANY
+    stored = counts.total if short else blocks
+    # A block computed again holds the states of its steps; each search keeps its candidates.
+    memory = stored * state + (blocks if short else 1) * 8 * KEPT * pairs + counts.steps * state + step
+    if chosen == "forward":
+        stored, memory = 0, (1 + count) * (state + step)
+    return GradientPlan(chosen, count, counts.total, stored, memory)
 
 
 def value_and_gradient(

@@ -66,15 +66,18 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     driven = _driven(model)
     force = pairs.touch.force[: model.rollers.n][driven][:, features]  # (driven, features)
     bar = sheet.length / sheet.bars
-    place = (jnp.arange(layout.bars[k] + 1) + 0.5) * bar
+    count = layout.bars[k]
+    place = jnp.asarray(np.arange(count + 1) + 0.5, bar.dtype) * bar
     total = jnp.sum(force, axis=1)
     at = divide(force @ place, total)  # mm behind the lead where each nip holds
     holds = (total > 0).astype(at.dtype)
     i, j = np.triu_indices(len(driven), 1)
     low, high = jnp.minimum(at[i], at[j]), jnp.maximum(at[i], at[j])
-    between = holds[None] * ((at[None] > low[:, None] + 0.5 * bar) & (at[None] < high[:, None] - 0.5 * bar))
-    neighbours = holds[i] * holds[j] * (jnp.sum(between, axis=1) == 0) * (high - low > 2.0 * bar)
-    centres = (jnp.arange(layout.bars[k]) + 0.5) * bar
+    inner = (at[None] > low[:, None] + 0.5 * bar) & (at[None] < high[:, None] - 0.5 * bar)
+    between = jnp.sum(jnp.where(inner, holds[None], 0.0), axis=1)
+    apart = (between == 0) & (high - low > 2.0 * bar)
+    neighbours = jnp.where(apart, holds[i] * holds[j], 0.0)
+    centres = place[:count]
     inside = ((centres[None] > low[:, None]) & (centres[None] < high[:, None])).astype(at.dtype)
     mean = divide(inside @ tension[bars], jnp.sum(inside, axis=1))
     stiffness = sheet.youngs_modulus * sheet.thickness**3 * sheet.width / 12.0  # N mm2

@@ -5,7 +5,6 @@ when it arises, the run is cut into spans of time, each with a copy of the scene
 the copy of a span is what moving the part during that span would do. The spans add up to the whole.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -100,6 +99,3 @@ def gain_of(found: Blame, step: float = 0.1) -> list[tuple[str, np.ndarray, floa
         if size > 0 and np.isfinite(size):
             rows.append((path, -slope / size, size * step))
     return sorted(rows, key=lambda r: -r[2])
-
-
-Watch = Callable[..., None]

@@ -94,11 +94,6 @@ def finish(problem: Problem, progress: Progress, history: list[dict[str, Any]]) 
     """Score the start and the best point of every start, and take the best of them."""
     points = np.unique(np.concatenate([problem.start[None], progress.best]), axis=0)
     seen = Evaluator(problem).values(points, Settings())
-    order = (
-        np.argsort([_first_rank(problem, seen, k) for k in range(len(points))], axis=0)[:, 0]
-        if len(points) > 1
-        else [0]
-    )
     order = sorted(range(len(points)), key=lambda k: _first_rank(problem, seen, k))
     scored = [score(problem, points[k], seen, k) for k in order[:4]]
     at_start = next(k for k in range(len(points)) if np.array_equal(points[k], problem.start))

@@ -57,6 +57,7 @@ def test_passes_with_little_slip(run):
     assert np.abs(np.asarray(run.rollers["drive_2"].slip)[35:60]).max() < 3.0
 
 
+@pytest.mark.slow
 def test_converges_with_first_order_and_a_coarse_step_is_close(rest):
     """Up to 0.6 s the lead edge's error falls in proportion to the step. The start (rollers at full speed on a resting sheet) is
     an impact whose error is not smooth in dt, so the order is a least-squares slope over the steps, not one ratio."""

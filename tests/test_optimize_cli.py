@@ -64,6 +64,7 @@ assert not heavy, heavy
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_design_writes_scene_numbers_and_pictures_and_resumes(place):
     done = run(place, "design", "study.toml", "--out", "better", "--iterations", "3")
     assert done.returncode == 0, done.stderr

@@ -3,11 +3,14 @@
 import re
 from pathlib import Path
 
+import pytest
+
 import diffeed
 
 TEXT = (Path(__file__).parent.parent / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_python_example_runs(capsys):
     code, _ = re.findall(r"```python\n(.*?)```", TEXT, re.S)
     assert 20 <= len(code.strip().splitlines()) <= 30

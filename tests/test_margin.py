@@ -1,0 +1,74 @@
+"""What a sheet carries between two nips, and how far a run is from a jam."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+import diffeed
+from diffeed import measures
+
+
+def two_nips(ratio: float) -> diffeed.Scene:
+    """A strip in two nips, 40 mm apart; the second turns `ratio` times as fast."""
+    rollers = {}
+    for k, (x, speed) in enumerate(((0.0, -40.0), (40.0, -40.0 * ratio))):
+        profile = diffeed.Profile(times=(0.0, 0.02), values=(0.0, speed))
+        rollers[f"drive_{k}"] = diffeed.FixedRoller(center=(x, -5.1), radius=5.0, friction=0.3, angular_speed=profile)
+        rollers[f"pinch_{k}"] = diffeed.MovableRoller(
+            center=(x, 5.1),
+            direction=(0.0, 1.0),
+            radius=5.0,
+            mass=0.01,
+            spring=0.5,
+            preload=2.0,
+            damper=0.01,
+            friction=0.3,
+        )
+    sheet = diffeed.Sheet(
+        length=80.0, thickness=0.2, width=20.0, density=1e-6, youngs_modulus=3000.0, structural_damping=1e-3, bars=16,
+        lead=(50.0, 0.0),
+    )  # fmt: skip
+    return diffeed.scene(
+        sheets={"strip": sheet}, rollers=rollers, gravity=(0.0, 0.0), duration=0.06, initial="given",
+        sensors={"gate": diffeed.Sensor(position=(52.0, 0.0), direction=(1.0, 0.0))},
+    )  # fmt: skip
+
+
+@functools.cache
+def run(ratio: float):
+    scene = two_nips(ratio)
+    observe = ("spans", "feed")
+    return scene, diffeed.simulate(scene, dt=2e-4, frames=7, observe=observe)
+
+
+def test_a_faster_second_nip_pulls_and_a_slower_one_pushes():
+    pulled, pushed = (run(r)[1].observed["spans"]["strip"] for r in (1.2, 0.95))
+    assert float(pulled.held) == pytest.approx(0.06, rel=0.05)
+    assert float(pulled.tension) > 0.1
+    assert float(pulled.buckling) < float(pushed.buckling)
+    assert float(pushed.tension) < 0.0
+    # Both nips slide at most with friction: 0.3 on two rollers of 2 N each.
+    assert float(pulled.tension_peak) < 1.3
+
+
+def test_the_margin_is_the_smallest_part_and_has_a_sign():
+    scene, done = run(1.2)
+    parts = {k: float(v) for k, v in measures.jam_margins(scene, done).items()}
+    smallest, margin = min(parts.values()), float(measures.jam_margin(scene, done))
+    assert smallest - 0.05 * np.log(len(parts)) - 1e-9 <= margin <= smallest
+    assert margin > 0.0
+    assert measures.verdict(scene, done).status == "passed"
+    # A goal that 60 ms of feeding cannot reach: 80 mm and 2 mm, of which some 9 mm are fed.
+    far = diffeed.put(scene, "goal", "gate")
+    fed = float(done.observed["feed"]["strip"].fed)
+    assert float(measures.jam_margins(far, done)["progress"]) == pytest.approx(fed / (80.0 + 2.0) - 1.0, rel=1e-6)
+
+
+def test_margins_must_be_observed():
+    scene, _ = run(1.2)
+    bare = jax.tree.map(lambda v: v, run(1.2)[1])
+    bare = type(bare)(**{**vars(bare), "observed": {}})
+    with pytest.raises(ValueError, match="feed"):
+        measures.jam_margins(scene, bare)
