@@ -67,6 +67,7 @@ def test_a_moving_roller_carries_its_surface_with_it():
     assert float(run.rollers["r0"].center[-1, 0]) == pytest.approx(-25.0)
 
 
+@pytest.mark.slow
 def test_two_sheets_run_as_each_would_alone():
     table = {"table": LineGuide(start=(-200.0, -0.05), end=(200.0, -0.05), friction=0.3)}
     first = paper(lead=(0.0, 2.0), heading=3.0)
@@ -230,6 +231,7 @@ def test_senseless_arguments_are_refused(arguments, fragment):
         diffeed.simulate(Scene(sheets={"a": paper()}), **arguments)
 
 
+@pytest.mark.slow
 def test_failure_is_a_value_and_spares_the_other_samples():
     """A sheet in free fall has no rest state; in a batch the others go on."""
     held = Scene(sheets={"a": paper(bars=2)}, guides={"t": LineGuide(start=(-99.0, -0.05), end=(99.0, -0.05))})

@@ -81,6 +81,7 @@ def test_a_number_without_effect_is_flat():
     assert found.rows[0].verdict == "flat"
 
 
+@pytest.mark.slow
 def test_a_sound_gradient_has_nothing_to_explain():
     found = diffeed.explain_gradient(nip(), duration=0.005, dt=5e-4)
     assert found.step == -1

@@ -95,6 +95,7 @@ def test_energy_balance_closes_as_the_step_shrinks():
     assert gaps[1] < 0.1
 
 
+@pytest.mark.slow
 def test_gaps_reach_parts_that_nothing_touches(run):
     far = diffeed.simulate(
         nip(guides=nip().guides | {"roof": LineGuide(start=(90.0, 7.0), end=(4.0, 7.0))}),
@@ -118,6 +119,7 @@ def test_a_guide_out_of_reach_has_a_gap_with_a_gradient():
     assert float(jax.grad(gap)(20.0)) == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_attack_angle_is_that_of_the_ramp():
     """The lead meets a guide inclined by 20 degrees."""
     ramp = LineGuide(

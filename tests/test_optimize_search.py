@@ -150,6 +150,7 @@ def test_resume_after_a_kill_gives_the_same_iterates(tmp_path):
     assert len(lines[0]) == whole.progress.iteration
 
 
+@pytest.mark.slow
 def test_a_folder_is_not_overwritten_and_belongs_to_its_study(tmp_path):
     design(problem_of(search={"iterations": 2}), tmp_path)
     with pytest.raises(JournalError, match="already holds a search"):
@@ -175,6 +176,7 @@ def test_stages_ease_the_contact_and_end_at_the_hard_settings():
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("search", "words"),
     [

@@ -110,6 +110,7 @@ def _ratios(errors: list[float]) -> np.ndarray:
     return np.array(errors[:-1]) / np.array(errors[1:])
 
 
+@pytest.mark.slow
 def test_statics_converge_with_the_square_of_the_bar():
     length, mass, bending, _ = _beam_numbers()
     exact = -mass * SMALL * length**4 / (8.0 * bending)
@@ -369,6 +370,7 @@ def test_outer_jit_changes_nothing(method):
     assert difference(outputs(run(scene, method)), outputs(compiled)) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_without_jit(method):
     """Two steps, one operation at a time."""
@@ -380,6 +382,7 @@ def test_without_jit(method):
     assert difference(outputs(compiled), outputs(plain)) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_frames_and_chunks_do_not_matter(method):
     """400 steps in one frame, in four, or in two runs, the second from where the first ended: checkpoints and searches

@@ -102,6 +102,7 @@ def assert_drawn_straight(ratios: np.ndarray) -> None:
     np.testing.assert_allclose(ratios[:, 1], 0.0, rtol=0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_flexible_capstan() -> None:
     """Friction acts on a surface half a thickness inside the axis."""
     entries, (ratios, slopes) = case(CAPSTAN)["reference"], drawn()[0]
@@ -164,7 +165,7 @@ def on_incline(trajectory: diffeed.Trajectory) -> tuple[Any, Any, Any, Any]:
     return trajectory.guides["incline"].force[-1], jnp.sum(track.push[-1], axis=0), track.nodes[-1, 0], trajectory.ok
 
 
-@pytest.mark.parametrize("bars", [20, 40])
+@pytest.mark.parametrize("bars", [20, pytest.param(40, marks=pytest.mark.slow)])
 def test_tip_on_incline(bars: int) -> None:
     force, push, tip, ok = each(lambda s: on_incline(at_rest(s)), [leaning(e, bars) for e in tips(0.0)])
     assert np.all(ok)
@@ -174,7 +175,7 @@ def test_tip_on_incline(bars: int) -> None:
     np.testing.assert_allclose(tip, [e["tip"] for e in tips(0.0)], rtol=0, atol=1.5e-3 * (20 / bars) ** 2)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.2])
+@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_tip_fed_slowly_up_an_incline(friction: float) -> None:
     """The last 3 mm, at 7.5 mm/s; friction takes its full share and points down the guide."""
     bars, duration = 20, 0.4
@@ -235,7 +236,9 @@ def in_channel(scene: diffeed.Scene) -> tuple[Any, Any, Any, Any]:
     return guides["outer"].force[0], guides["inner"].force[0], trajectory.sheets["sheet"].force[0], trajectory.ok
 
 
-@pytest.mark.parametrize(("inner", "bars"), [("arc", 20), ("circle", 20), ("circle", 40)])
+@pytest.mark.parametrize(
+    ("inner", "bars"), [("arc", 20), ("circle", 20), pytest.param("circle", 40, marks=pytest.mark.slow)]
+)
 def test_curved_channel(inner: str, bars: int) -> None:
     """Line and arc guides are touched by joints, as in the reference's chain; a circle by the faces beside the joint."""
     entries = case(CHANNEL)["reference"]

@@ -192,6 +192,7 @@ def test_incline(law: str) -> None:
         assert_slid(entry, *slide(entry, FEW, ORDER_FOUR))
 
 
+@pytest.mark.slow
 def test_incline_at_first_order() -> None:
     for entry in inclines("sqrt"):
         assert_slid(entry, *extrapolated(slide(entry, MANY, ORDER_ONE), slide(entry, TWICE, ORDER_ONE)))

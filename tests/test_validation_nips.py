@@ -295,6 +295,7 @@ def test_nip_load_and_frequency(below: str) -> None:
             np.testing.assert_allclose(found[np.argmin(np.abs(found - frequency))], frequency, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_nip_load_that_a_run_reports() -> None:
     """Both faces of a loose bar carry it."""
     scenes = diffeed.stack([sprung(e, "loose bar") for e in case(SPRUNG)["reference"]])
