@@ -15,22 +15,13 @@ import click
 
 import diffeed
 from diffeed import tuning
+from diffeed.terminal import SETTINGS, console, refusing
 
 if TYPE_CHECKING:
     from diffeed.parts import Scene
     from diffeed.trajectory import Trajectory
 
 T = TypeVar("T")
-SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-
-class Refusal(click.ClickException):
-    """Nothing was run or written: the reason, and status 2."""
-
-    exit_code = 2
-
-    def show(self, file: Any = None) -> None:
-        click.echo(self.message, err=True)
 
 
 @dataclass(frozen=True)
@@ -150,7 +141,7 @@ def scenes() -> None:
 def _run(ask: Request) -> int:
     from diffeed.outputs import OutputError, draft_of, refuse_overwriting
 
-    with _refusing(OutputError):
+    with refusing(OutputError):
         if ask.out and not ask.force:
             refuse_overwriting(ask.out)
         begun = time.perf_counter()
@@ -180,7 +171,7 @@ def _load_sound(
     from diffeed.paths import PathError, parse_assignment, put
     from diffeed.records import replace
 
-    with _refusing(SceneError, PathError):
+    with refusing(SceneError, PathError):
         scene = diffeed.load_scene(where)
         for text in assignments:
             scene = put(scene, *parse_assignment(text))
@@ -230,7 +221,7 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
         summary["verdict"] = {
             "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
         }  # fmt: skip
-    print_report(_console(), summary)
+    print_report(console(), summary)
     if not trajectory.ok:
         _say(f"The run failed {trajectory.failure.describe()}.\n{_hint(ask, int(trajectory.failure.cause))}")
     if ask.out and draft:
@@ -285,8 +276,8 @@ def _bar(duration: float) -> Iterator[Callable[[float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.fields[done]}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    console = _console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+    screen = console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=screen, disable=not screen.is_terminal) as bar:
         task = bar.add_task("", total=duration, done="compiling", start=False)
 
         def show(seconds: float) -> None:
@@ -296,23 +287,8 @@ def _bar(duration: float) -> Iterator[Callable[[float], None]]:
         yield show
 
 
-def _console(stderr: bool = False) -> Any:
-    from rich.console import Console
-
-    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
-
-
 def _say(text: str) -> None:
     click.echo(text, err=True)
-
-
-@contextmanager
-def _refusing(*kinds: type[Exception]) -> Iterator[None]:
-    """These errors are the user's to mend: their text, no traceback."""
-    try:
-        yield
-    except kinds as error:
-        raise Refusal(str(error)) from error
 
 
 def _patiently(function: Callable[[], T]) -> T:

@@ -98,7 +98,7 @@ class Kept(NamedTuple):
     arcs: Arcs
     surface: Surface
     slot: Array | None  # (rollers, features) which slot holds the roller; None: rows are bodies
-    has_slot: Array  # and whether one does
+    has_slot: Array | None  # and whether one does
 
     @property
     def n_circles(self) -> int:
@@ -136,7 +136,7 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         width = model.layout.tail.shape[0]
         return jnp.concatenate([jnp.broadcast_to(r, (r.shape[0], width)) for r in rows])
 
-    slot, has_slot = None, jnp.ones((), bool)
+    slot = has_slot = None
     if circles is not None:
         hot = circles[None] == jnp.arange(rollers.n, dtype=circles.dtype)[:, None, None]
         slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
@@ -250,7 +250,7 @@ def _end_circles(row: Features, near: Near, motion: Rigid | None, index: Array |
 
 def by_roller(kept: Kept, values: Array) -> Array:
     """(k, rows, features) of circles -> (k, rollers, features): each roller's own row, or the slot that holds it."""
-    if kept.slot is None:
+    if kept.slot is None or kept.has_slot is None:
         return values
     held = jnp.take_along_axis(values, kept.slot[None], axis=1)
     return jnp.where(kept.has_slot, held, 0.0)

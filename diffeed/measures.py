@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.energy import energies
+from diffeed.margin import FOLDED
 from diffeed.margin import jam_margin as jam_margin
 from diffeed.margin import jam_margins as jam_margins
 from diffeed.model import Model, build, is_driven
@@ -194,8 +195,6 @@ class Verdict(NamedTuple):
 
 STALLED = 0.1
 """Share of the commanded speed below which a sheet stands still."""
-FOLDED = np.deg2rad(150.0)
-"""Turn over three joints that counts as folded back."""
 STRAYED = 50.0
 """mm outside the box around all parts that counts as having left the path."""
 

@@ -147,6 +147,11 @@ class Rollers:
         return slice(0, self.counts[0] + self.counts[1])
 
     @property
+    def driven(self) -> np.ndarray:
+        """(rollers,) bool: the shaft is prescribed."""
+        return np.repeat([True, False, False, True], self.counts)
+
+    @property
     def free(self) -> slice:
         return slice(self.counts[0], self.counts[0] + self.counts[1] + self.counts[2])
 

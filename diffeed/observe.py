@@ -280,15 +280,12 @@ class Feed:
 
 def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> Array:
     """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force."""
-    driven = jnp.array(
-        [k < model.rollers.counts[0] or k >= sum(model.rollers.counts[:3]) for k in range(model.rollers.n)]
-    )
     if touching.sheets is None or model.rollers.n == 0:
         return jnp.zeros((len(model.layout.names),))
     n, pairs = model.rollers.n, touching.sheets
     c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
     along = pairs.nx[:n] * s - pairs.ny[:n] * c
-    force = pairs.touch.force[:n] * jnp.where(driven, 1.0, 0.0)[:, None]
+    force = pairs.touch.force[:n] * model.rollers.driven[:, None].astype(pairs.gap.dtype)
     pull = jnp.sum(force * along * (spin * model.rollers.radius)[:, None], axis=0)
     # One product instead of slices: each slice would compute the contact law again.
     pull, force = jnp.stack([pull, jnp.sum(force, axis=0)]) @ jnp.asarray(model.layout.sheet_of_feature, pull.dtype)

@@ -93,19 +93,9 @@ def _first_bars(scene: Scene) -> tuple[int, ...]:
 
 
 def _picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        import matplotlib
+    from diffeed import plot_style
 
-        matplotlib.use("Agg")
-        from matplotlib import pyplot
-
-        figure = draw().figure
-        try:
-            figure.savefig(path)
-        finally:
-            pyplot.close(figure)
-
-    return write
+    return lambda path: plot_style.save(path, draw)
 
 
 def _publish(draft: Path, folder: Path) -> list[str]:

@@ -1,6 +1,7 @@
 """One look for all pictures: colours of Okabe and Ito, dashes that tell lines apart without colour, units on axes."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,3 +77,17 @@ def legend_above(ax: "Axes") -> None:
         ax.legend(
             fontsize=SMALL, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(len(handles), 8)
         )
+
+
+def save(path: Path, draw: "Callable[[], Axes]") -> None:
+    """Draw without a screen, write the picture, and let its memory go."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure = draw().figure
+    try:
+        figure.savefig(path)  # type: ignore[union-attr]
+    finally:
+        pyplot.close(figure)  # type: ignore[arg-type]

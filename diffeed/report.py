@@ -7,6 +7,7 @@ import numpy as np
 from diffeed import measures
 from diffeed.parts import Scene
 from diffeed.records import fields
+from diffeed.terminal import plain_table
 from diffeed.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -106,17 +107,6 @@ def _verdict_line(verdict: dict[str, Any]) -> str:
     return f"{verdict['status'].upper()}: {', '.join(words)}"
 
 
-def _table(first: str, *columns: str) -> "Table":
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-    table.add_column(first, overflow="fold", vertical="bottom")
-    for name in columns:
-        table.add_column(name, justify="right", no_wrap=True, vertical="bottom")
-    return table
-
-
 def _roller_table(rollers: dict[str, Any]) -> "Table":
     columns = {
         "contact\ns": "contact_time",
@@ -128,7 +118,7 @@ def _roller_table(rollers: dict[str, Any]) -> "Table":
         "friction\nmean\nN": "friction_mean",
         "torque\nmean\nN mm": "torque_mean",
     }
-    table = _table("roller", *columns)
+    table = plain_table("roller", *columns)
     for name, row in rollers.items():
         touched = bool(row["contact_time"])
         values = [_text(row[key]) for key in columns.values()] if touched else ["never", *"-" * (len(columns) - 1)]
@@ -137,7 +127,7 @@ def _roller_table(rollers: dict[str, Any]) -> "Table":
 
 
 def _arrival_table(sheets: dict[str, Any]) -> "Table":
-    table = _table("sheet at sensor", "lead edge\ns", "tail edge\ns")
+    table = plain_table("sheet at sensor", "lead edge\ns", "tail edge\ns")
     for sheet, row in sheets.items():
         for sensor, times in row["arrivals"].items():
             table.add_row(f"{sheet} at {sensor}", *(_text(times[edge], "never") for edge in ("lead", "tail")))
@@ -145,7 +135,7 @@ def _arrival_table(sheets: dict[str, Any]) -> "Table":
 
 
 def _sheet_table(sheets: dict[str, Any]) -> "Table":
-    table = _table(
+    table = plain_table(
         "sheet",
         "largest\ncurvature\n1/mm",
         "smallest\nradius\nmm",
@@ -163,7 +153,7 @@ def _sheet_table(sheets: dict[str, Any]) -> "Table":
 
 
 def _gap_table(gaps: dict[str, Any]) -> "Table":
-    table = _table("part", "mm")
+    table = plain_table("part", "mm")
     for name, gap in list(gaps.items())[:NEAREST]:
         table.add_row(name, _text(gap))
     if len(gaps) > NEAREST:
@@ -172,7 +162,7 @@ def _gap_table(gaps: dict[str, Any]) -> "Table":
 
 
 def _energy_table(energy: dict[str, Any]) -> "Table":
-    table = _table("", "N mm", "share")
+    table = plain_table("", "N mm", "share")
     work = energy["work of drives"]
     for name, value in energy.items():
         share = "" if not work or value is None else f"{100.0 * value / work:.1f} %"

@@ -63,7 +63,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     layout, sheet = model.layout, scene.sheets[name]
     bars = layout.slices()[k]
     features = slice(bars.start + k, bars.stop + k + 1)
-    driven = _driven(model)
+    driven = np.flatnonzero(model.rollers.driven)
     force = pairs.touch.force[: model.rollers.n][driven][:, features]  # (driven, features)
     bar = sheet.length / sheet.bars
     count = layout.bars[k]
@@ -83,11 +83,6 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     stiffness = sheet.youngs_modulus * sheet.thickness**3 * sheet.width / 12.0  # N mm2
     euler = np.pi**2 * stiffness / jnp.maximum(high - low, bar) ** 2
     return neighbours, mean, divide(-mean, euler)
-
-
-def _driven(model: Model) -> np.ndarray:
-    counts = model.rollers.counts
-    return np.array([k for k in range(model.rollers.n) if k < counts[0] or k >= sum(counts[:3])], dtype=int)
 
 
 def close(model: Model, scene: Scene, sums: SpanSums, state: State) -> dict[str, SpanStats]:

@@ -7,17 +7,9 @@ from typing import Any
 
 import click
 
-SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+from diffeed.terminal import SETTINGS, Refusal, console, refusing
+
 STUDY = click.argument("study")
-
-
-class Refusal(click.ClickException):
-    """Nothing was run or written: the reason, and status 2."""
-
-    exit_code = 2
-
-    def show(self, file: Any = None) -> None:
-        click.echo(self.message, err=True)
 
 
 @click.group(context_settings=SETTINGS)
@@ -60,9 +52,9 @@ def design(
     from optimize.journal import JournalError
     from optimize.report import print_result, write_result
 
-    with _bar(problem) as show, _refusing(JournalError):
+    with _bar(problem) as show, refusing(JournalError):
         result = run(problem, out, resume, force, show)
-    print_result(_console(), result)
+    print_result(console(), result)
     if out:
         names = write_result(out, result, not no_pictures)
         click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
@@ -138,7 +130,7 @@ def _problem(where: str, changes: dict[str, Any]) -> Any:
     from optimize.problem import StudyError, make_problem
     from optimize.study_file import load_study
 
-    with _refusing(StudyError):
+    with refusing(StudyError):
         study = load_study(where)
         if changes:
             found = study.search.model_copy(update=changes)
@@ -157,10 +149,10 @@ def _bar(problem: Any) -> Iterator[Callable[..., None]]:
 
     from optimize.descent import stages_of
 
-    console = _console(stderr=True)
+    screen = console(stderr=True)
     columns = (TextColumn("{task.fields[done]}"), BarColumn(), TimeRemainingColumn())
     total = sum(s.iterations for s in stages_of(problem))
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bar:
         task = bar.add_task("", total=total, done="compiling")
 
         def show(problem: Any, progress: Any, line: Any) -> None:
@@ -172,18 +164,3 @@ def _bar(problem: Any) -> Iterator[Callable[..., None]]:
             )
 
         yield show
-
-
-def _console(stderr: bool = False) -> Any:
-    from rich.console import Console
-
-    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
-
-
-@contextmanager
-def _refusing(*kinds: type[Exception]) -> Iterator[None]:
-    """These errors are the user's to mend: their text, no traceback."""
-    try:
-        yield
-    except kinds as error:
-        raise Refusal(str(error)) from error

@@ -9,15 +9,19 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from diffeed import plot_style
 from optimize.descent import Progress, begin, search
 from optimize.evaluate import Evaluator
 from optimize.problem import Problem, Settings, loss
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class Trace(NamedTuple):
@@ -59,7 +63,6 @@ def cost_of_gradient(problem: Problem) -> float:
     none = np.zeros((1, len(problem.media), problem.sides))
     evaluator, plain = Evaluator(problem), merit(problem)
     unit = problem.start[None]
-    samples = len(evaluator.draws)
 
     def spent(function: Callable[[], Any]) -> float:
         function()
@@ -71,11 +74,7 @@ def cost_of_gradient(problem: Problem) -> float:
         return float(np.median(times))
 
     whole = spent(lambda: evaluator.gradients(unit, none, np.full(1, problem.study.search.penalty), Settings()))
-    return (
-        max(1.0, whole / spent(lambda: plain(problem.start)))
-        if samples == 1
-        else whole / spent(lambda: plain(problem.start))
-    )
+    return whole / spent(lambda: plain(problem.start))
 
 
 def compare(problem: Problem, budget: int, say: Callable[[str], None] = lambda text: None) -> Comparison:
@@ -168,15 +167,16 @@ def table(found: Comparison) -> str:
 
 def write_comparison(folder: Path, found: Comparison) -> list[str]:
     """Numbers and a picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from diffeed import plot_style
-
     folder.mkdir(parents=True, exist_ok=True)
     rows = {t.name: {"forward_runs": reached(t, found.target), "best": float(t.best[-1])} for t in found.traces}
     data = {"target": found.target, "gradient_cost": found.ratio, "variables": found.variables, "searches": rows}
     (folder / "comparison.json").write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    plot_style.save(folder / "comparison.png", lambda: picture(found))
+    return ["comparison.json", "comparison.png"]
+
+
+def picture(found: Comparison) -> "Axes":
+    """Best punished objective against cost."""
     ax = plot_style.axes(None)
     for i, trace in enumerate(found.traces):
         ax.step(trace.cost, trace.best, where="post", label=trace.name, **plot_style.line(i))
@@ -184,5 +184,4 @@ def write_comparison(folder: Path, found: Comparison) -> list[str]:
     ax.set_xscale("log")
     plot_style.label(ax, "Forward runs", "Best punished objective")
     plot_style.legend_beside(ax)
-    ax.figure.savefig(folder / "comparison.png")  # type: ignore[union-attr]
-    return ["comparison.json", "comparison.png"]
+    return ax

@@ -17,7 +17,7 @@ import optax
 from optimize import variables as free
 from optimize.evaluate import Counts, Evaluated, Evaluator
 from optimize.optimisers import make_optimiser
-from optimize.problem import SLACK, Problem, Settings, loss
+from optimize.problem import SLACK, Problem, Settings, loss, over_media
 from optimize.study import Stage
 
 INNER = 8
@@ -86,7 +86,7 @@ def first_points(problem: Problem) -> np.ndarray:
         return problem.start[None].copy()
     from scipy.stats import qmc
 
-    drawn = qmc.Sobol(n, rng=search.seed).random(search.starts - 1) if search.starts > 1 else np.zeros((0, n))
+    drawn = qmc.Sobol(n, rng=search.seed).random(search.starts - 1)
     around = problem.start[None] + search.spread * (2.0 * drawn - 1.0)
     return np.clip(np.concatenate([problem.start[None], around]), 0.0, 1.0)
 
@@ -117,14 +117,14 @@ def search(
         stage = stages_of(problem)[progress.stage]
         found = evaluator.gradients(progress.unit, progress.multipliers, progress.penalty, settings_of(stage))
         _judge(problem, progress, found)
-        _step(problem, progress, found, move, evaluator)
+        _step(problem, progress, move, evaluator)
         progress.iteration += 1
         if problem.sides and progress.iteration % INNER == 0:
             _raise_multipliers(problem, progress, found)
         progress.counts = evaluator.counts
         progress.seconds += time.monotonic() - begun
         line = _line(problem, progress, found)
-        _stop(problem, progress, found)
+        _stop(problem, progress)
         save(progress, line)
         yield progress, line
 
@@ -141,7 +141,7 @@ def chosen(progress: Progress) -> int:
 
 def _judge(problem: Problem, progress: Progress, found: Evaluated) -> None:
     """Good points move the anchor and may be the best so far; bad ones fall back."""
-    objective = np.array([float(_objective(problem, o)) for o in found.seen.objective])
+    objective = np.array([float(over_media(problem, jnp.asarray(o))) for o in found.seen.objective])
     worst = found.seen.violation.reshape(len(objective), -1).max(axis=1, initial=-np.inf)
     for i in range(len(objective)):
         fine = np.isfinite(found.value[i]) and np.isfinite(found.gradient[i]).all() and found.seen.ok[i].all()
@@ -154,7 +154,7 @@ def _judge(problem: Problem, progress: Progress, found: Evaluated) -> None:
         if not last:
             progress.best[i] = progress.unit[i]  # the score of an easier problem does not count
         elif worst[i] <= SLACK and objective[i] < progress.merit[i]:
-            if not objective[i] >= _gained(progress.merit.min(), problem.study.search.gain):
+            if objective[i] < _gained(progress.merit.min(), problem.study.search.gain):
                 progress.since = progress.iteration
             progress.merit[i], progress.best[i] = objective[i], progress.unit[i]
         elif not np.isfinite(progress.merit[i]) and worst[i] < progress.closest[i]:
@@ -166,13 +166,7 @@ def _gained(best: float, gain: float) -> float:
     return best - gain * max(1e-12, abs(best)) if np.isfinite(best) else np.inf
 
 
-def _objective(problem: Problem, objective: Any) -> Any:
-    from optimize.problem import over_media
-
-    return over_media(problem, jnp.asarray(objective))
-
-
-def _step(problem: Problem, progress: Progress, found: Evaluated, move: Any, evaluator: Evaluator) -> None:
+def _step(problem: Problem, progress: Progress, move: Any, evaluator: Evaluator) -> None:
     """Where each start goes next. A start that fell goes back half as far as before, with the gradient it had there."""
     fell = progress.falls > 0
     progress.pace = np.where(fell, 0.5 * progress.pace, np.minimum(1.0, 1.2 * progress.pace))
@@ -184,7 +178,7 @@ def _step(problem: Problem, progress: Progress, found: Evaluated, move: Any, eva
     progress.unit = np.where(alive[:, None], step, progress.good)
     keep = fell | ~alive
     progress.state = jax.tree.map(
-        lambda a, b: np.where(keep.reshape(-1, *[1] * (np.ndim(a) - 1)), b, a) if np.ndim(a) else a,
+        lambda a, b: np.where(keep.reshape(-1, *[1] * (np.ndim(a) - 1)), b, a),
         state,
         progress.state,
     )
@@ -263,7 +257,7 @@ def _line(problem: Problem, progress: Progress, found: Evaluated) -> Line:
     worst = found.seen.violation.reshape(len(progress.unit), -1).max(axis=1, initial=0.0)
     return Line(
         iteration=progress.iteration, stage=progress.stage, start=i,
-        objective=float(_objective(problem, found.seen.objective[i])), violation=float(max(worst[i], 0.0)),
+        objective=float(over_media(problem, jnp.asarray(found.seen.objective[i]))), violation=float(max(worst[i], 0.0)),
         best=float(progress.merit[i]), gradient=float(np.linalg.norm(progress.slope[i])),
         alive=int(np.sum(progress.falls < ROLLBACKS)), simulations=progress.counts.simulations,
         gradients=progress.counts.gradients, seconds=progress.seconds,
@@ -271,7 +265,7 @@ def _line(problem: Problem, progress: Progress, found: Evaluated) -> Line:
     )  # fmt: skip
 
 
-def _stop(problem: Problem, progress: Progress, found: Evaluated) -> None:
+def _stop(problem: Problem, progress: Progress) -> None:
     """Set the reason, or move on to the next stage."""
     search, stages = problem.study.search, stages_of(problem)
     done = sum(s.iterations for s in stages[: progress.stage + 1])

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from optimize.problem import Problem, Seen, Settings, loss
+import diffeed
+from optimize.problem import Problem, Seen, Settings, look, loss
 
 TOGETHER = 16
 """Points that are computed at once: more fall out of the processor's cache."""
-FEW = 3
-"""Variables up to which forward mode is used."""
 
 
 class Evaluated(NamedTuple):
@@ -72,7 +71,6 @@ class Evaluator:
         """What is seen at points (points, n), without gradients and without noise."""
         function = self._plain.get(settings.duration)
         if function is None:
-            from optimize.problem import look
 
             def many(units: Array, smoothing: Array) -> Seen:
                 at = lambda u: look(self.problem, u, Settings(smoothing, settings.duration))  # noqa: E731
@@ -85,7 +83,8 @@ class Evaluator:
 
     def _make(self, duration: float | None):
         problem, draws = self.problem, jnp.asarray(self.draws)
-        forward = len(problem.names) <= FEW
+        study = problem.study
+        scheme = diffeed.gradient_plan(problem.scenes[0], len(problem.names), duration or study.duration, study.dt)
 
         def one(point: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Seen]:
             unit, multipliers, penalty, smoothing = point
@@ -94,7 +93,7 @@ class Evaluator:
                 value, seen = loss(problem, u, multipliers, penalty, Settings(smoothing, duration))
                 return value, (value, seen)
 
-            take = jax.jacfwd if forward else jax.jacrev
+            take = jax.jacfwd if scheme.mode == "forward" else jax.jacrev
             gradient, (value, seen) = take(of, has_aux=True)(unit)
             return value, gradient, seen
 
@@ -111,13 +110,14 @@ class Evaluator:
             seen = jax.tree.map(lambda v: v.reshape(count, samples, *v.shape[1:]), seen)
             # A sample that failed says nothing about the mean; a point fails when most of its samples do.
             fine = jnp.all(seen.ok, axis=2) & jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient), axis=2)
-            counted = fine.astype(value.dtype)
-            share = counted / jnp.maximum(jnp.sum(counted, axis=1, keepdims=True), 1.0)
-            mean = lambda v: jnp.sum(jnp.where(fine, v, 0.0) * share, axis=1)  # noqa: E731
-            enough = jnp.mean(counted, axis=1) > 0.5
-            value = jnp.where(enough, mean(value), jnp.nan)
-            gradient = jnp.sum(jnp.where(fine[..., None], gradient, 0.0) * share[..., None], axis=1)
-            average = lambda v: jnp.mean(v, axis=1) if jnp.issubdtype(v.dtype, jnp.floating) else jnp.any(v, axis=1)  # noqa: E731
-            return value, gradient, jax.tree.map(average, seen)
+            enough = jnp.mean(fine.astype(value.dtype), axis=1) > 0.5
+
+            def average(values: Array) -> Array:
+                mask = fine.reshape(count, samples, *[1] * (values.ndim - 2))
+                return jnp.mean(values, axis=1, where=mask)
+
+            ok = jnp.broadcast_to(enough[:, None], (count, seen.ok.shape[2]))
+            told = Seen._make([*(average(v) for v in seen[:-1]), ok])
+            return jnp.where(enough, average(value), jnp.nan), average(gradient), told
 
         return many

@@ -7,6 +7,7 @@ import numpy as np
 import diffeed
 from diffeed import plot, plot_style
 from optimize.blame import Arising, Blame, gain_of
+from optimize.variables import unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,19 +34,19 @@ def history(lines: list[dict[str, Any]], ax: "Axes | None" = None) -> "Axes":
 
 
 def variables(problem: Any, lines: list[dict[str, Any]], ax: "Axes | None" = None) -> "Axes":
-    """The variables of the best start over iterations, as shares of their bounds."""
+    """Every variable as its share of the way between its bounds, against the iteration; logarithmic where so searched."""
     ax = plot_style.axes(ax)
     k = [line["iteration"] for line in lines]
-    for i, (name, variable) in enumerate(problem.study.variables.items()):
-        low, high = variable.bounds
-        ax.plot(k, [(line["values"][name] - low) / (high - low) for line in lines], label=name, **plot_style.line(i))
+    values = np.array([[line["values"][name] for name in problem.names] for line in lines])
+    for i, (name, path) in enumerate(zip(problem.names, unit(problem.variables, values).T, strict=True)):
+        ax.plot(k, path, label=name, **plot_style.line(i))
     ax.set_ylim(-0.03, 1.03)
-    plot_style.label(ax, "Iteration", "Share of the way from lower to upper bound")
+    plot_style.label(ax, "Iteration", "Place within the bounds")
     plot_style.legend_beside(ax)
     return ax
 
 
-def blame_map(scene: diffeed.Scene, run: Any, found: Blame, unit: str = "", ax: "Axes | None" = None) -> "Axes":
+def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = None) -> "Axes":
     """The machine with arrows: move this point this way. Lengths are in proportion to the gain; the gain of 0.1 mm is
     written beside the largest."""
     ax = plot.machine(scene, run, frames=(0, -1), ax=ax)
@@ -63,7 +64,7 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, unit: str = "", ax: 
             ax.annotate(f"{gain:.2g}", xy=tuple(tip), xytext=(3, 3), textcoords="offset points", zorder=10,
                         fontsize=plot_style.SMALL, color=plot_style.COLORS[1])  # fmt: skip
     ax.set_title(
-        f"Which way to move what: gain in the objective{f' ({unit})' if unit else ''} per 0.1 mm",
+        "Which way to move what: gain in the objective per 0.1 mm",
         fontsize=plot_style.TITLE, loc="left", pad=18,
     )  # fmt: skip
     return ax

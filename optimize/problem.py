@@ -1,6 +1,5 @@
 """A study made ready: scene, media and terms looked up and checked, and the loss as a pure function of the unit vector."""
 
-import difflib
 import functools
 import hashlib
 import json
@@ -14,6 +13,7 @@ import numpy as np
 from jax import Array
 
 import diffeed
+from diffeed.names import hint, nearest
 from optimize import variables as free
 from optimize.study import Goal, Limit, Study
 from optimize.terms import TERMS, Term
@@ -283,9 +283,9 @@ def _resolved(
 ) -> Asked | None:
     where = f"{section}.{name}"
     if spec.measure not in TERMS:
-        near = difflib.get_close_matches(spec.measure, TERMS, 1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        problems.append(f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{hint}')
+        problems.append(
+            f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{nearest(spec.measure, TERMS)}'
+        )
         return None
     term, before = TERMS[spec.measure], len(problems)
     parts = _parts(where, term, spec, scene, problems)
@@ -312,9 +312,7 @@ def _parts(where: str, term: Term, spec: Goal | Limit, scene: diffeed.Scene, pro
         problems.append(f"{where}.of must name one or more {term.of}: {', '.join(sorted(known))}")
     for part in named:
         if part not in known:
-            near = difflib.get_close_matches(part, known, 1)
-            hint = f'; did you mean "{near[0]}"?' if near else f"; known: {', '.join(sorted(known))}"
-            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint}')
+            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint(part, known)}')
     return tuple(named)
 
 
@@ -324,9 +322,8 @@ def _setting_problems(study: Study) -> Iterator[str]:
     if study.method not in diffeed.METHODS:
         yield f'method must be one of {", ".join(diffeed.METHODS)}, but is "{study.method}"'
     if study.search.name not in OPTIMISERS:
-        near = difflib.get_close_matches(study.search.name, OPTIMISERS, 1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        yield f'search.name must be an optimiser of optax ({", ".join(OPTIMISERS)}), but is "{study.search.name}"{hint}'
+        known, near = ", ".join(OPTIMISERS), nearest(study.search.name, OPTIMISERS)
+        yield f'search.name must be an optimiser of optax ({known}), but is "{study.search.name}"{near}'
     measured = [s.measure for s in (*study.objective.values(), *study.limits.values()) if s.measure in TERMS]
     spans = any("spans" in TERMS[name].observe for name in measured)
     if spans and study.method != "linear_euler":

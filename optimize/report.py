@@ -1,7 +1,6 @@
 """What a search gives its user: a table on the screen, and a folder with scene, numbers and pictures."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +8,7 @@ import numpy as np
 
 import diffeed
 from diffeed import player
+from diffeed.terminal import plain_table
 from optimize.blame import arising, blame
 from optimize.design import Result, Scored, run_of
 from optimize.problem import SLACK
@@ -16,8 +16,9 @@ from optimize.study import Goal, Limit
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
+WORDS = ("unit", "wanted")
+"""Columns of words in the tables."""
 SUMMARY = "result.json"
 FILES = (
     "scene.toml", "before_after.html", "history.png", "variables.png", "blame_before.png", "blame_after.png",
@@ -77,14 +78,14 @@ def print_result(console: "Console", result: Result) -> None:
         console.print(f"  {where}before {before.verdicts[m].sentence()}")
         console.print(f"  {where}after  {after.verdicts[m].sentence()}")
     console.print("\nVariables", style="bold")
-    table = _table("variable", "unit", "before", "after", "lower", "upper")
+    table = plain_table("variable", "unit", "before", "after", "lower", "upper", words=WORDS)
     for name, unit, variable in zip(problem.names, problem.units, problem.variables, strict=True):
         at_bound = min(abs(after.values[name] - b) for b in variable.bounds) < 1e-3 * np.ptp(variable.bounds)
         row = (before.values[name], after.values[name], *variable.bounds)
         table.add_row(name + (" (at its bound)" if at_bound else ""), unit, *(f"{v:.5g}" for v in row))
     console.print(table)
     console.print("Goals and limits", style="bold")
-    table = _table("measure", "unit", "before", "after", "wanted")
+    table = plain_table("measure", "unit", "before", "after", "wanted", words=WORDS)
     for m, medium in enumerate(problem.media):
         for k, asked in enumerate(problem.goals):
             table.add_row(_label(medium, asked), asked.term.unit, f"{before.goals[m][k]:.5g}", f"{after.goals[m][k]:.5g}",
@@ -127,17 +128,6 @@ def _keeps(spec: Goal | Limit, value: float) -> bool:
     return bool(low and (spec.at_most is None or value <= spec.at_most + SLACK * spec.scale))
 
 
-def _table(first: str, *columns: str) -> "Table":
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-    table.add_column(first, overflow="fold")
-    for name in columns:
-        table.add_column(name, justify="left" if name in ("unit", "wanted") else "right", no_wrap=True)
-    return table
-
-
 def write_result(folder: Path, result: Result, pictures: bool = True) -> list[str]:
     """Scene, player, pictures and numbers; the names of the files written."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -151,9 +141,7 @@ def write_result(folder: Path, result: Result, pictures: bool = True) -> list[st
 
 
 def _write_pictures(folder: Path, result: Result) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
+    from diffeed import plot_style
     from optimize import pictures
 
     problem = result.problem
@@ -165,20 +153,12 @@ def _write_pictures(folder: Path, result: Result) -> None:
         title=problem.study.title or problem.study.scene,
     )  # fmt: skip
     if result.history:
-        _picture(folder / "history.png", lambda: pictures.history(result.history))
-        _picture(folder / "variables.png", lambda: pictures.variables(problem, result.history))
+        plot_style.save(folder / "history.png", lambda: pictures.history(result.history))
+        plot_style.save(folder / "variables.png", lambda: pictures.variables(problem, result.history))
     for k, unit in points.items():
         found = blame(problem, unit)
-        _picture(folder / f"blame_{k}.png", lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found))
+        plot_style.save(
+            folder / f"blame_{k}.png", lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found)
+        )
     found = arising(problem, points["before"])
-    _picture(folder / "when_before.png", lambda: pictures.heat_map(found))
-
-
-def _picture(path: Path, draw: Callable[[], Any]) -> None:
-    from matplotlib import pyplot
-
-    figure = draw().figure
-    try:
-        figure.savefig(path)
-    finally:
-        pyplot.close(figure)
+    plot_style.save(folder / "when_before.png", lambda: pictures.heat_map(found))

@@ -33,7 +33,6 @@ class Variable(Record):
     bounds: Pair
     start: float | None = None
     transform: Literal["bounded", "log"] = "bounded"
-    scale: Positive | None = None
     tolerance: Positive | None = None
 
     @model_validator(mode="after")

@@ -1,6 +1,5 @@
 """STUDY files: TOML to a checked study. A file holds numbers and words; the scene it names is read as a scene file."""
 
-import difflib
 import os
 import tomllib
 from importlib import resources
@@ -9,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from diffeed.names import hint
 from optimize.problem import StudyError
 from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
 
@@ -71,9 +71,7 @@ def _sentence(error: Any) -> str:
     if kind == "extra_forbidden":
         section = next((p for p in reversed(places[:-1]) if p in _RECORDS), "")
         fields = list((_RECORDS[section] if section else Study).model_fields)
-        near = difflib.get_close_matches(places[-1], fields, 1)
-        hint = f'; did you mean "{near[0]}"?' if near else f"; known: {', '.join(fields)}"
-        return f"{where} is not a field here{hint}"
+        return f"{where} is not a field here{hint(places[-1], fields)}"
     if kind == "missing":
         return f"{where} is missing"
     text = error["msg"].removeprefix("Value error, ")

@@ -39,7 +39,7 @@ def test_a_good_study_has_no_problems():
         ({"variables": {"a": {"bounds": [0, 1]}}}, ["variables.a", "path, shift, turn"]),
         ({"variables": {"a": {"path": "x", "bounds": [2, 1]}}}, ["variables.a", "lower < upper"]),
         ({"variables": {"a": {"path": "x", "bounds": [0, 1], "transform": "log"}}}, ["variables.a", "log", "> 0"]),
-        ({"variables": {"a": {"path": "x", "bounds": [0, 1], "sclae": 2}}}, ["variables.a.sclae", '"scale"']),
+        ({"variables": {"a": {"path": "x", "bounds": [0, 1], "tolerence": 2}}}, ["variables.a.tolerence", '"tolerance"']),
         ({"variables": {"a": {"shift": ["rollers.pinch"], "bounds": [0, 1]}}}, ["variables.a", "direction"]),
         ({"limits": {"b": {"measure": "slip"}}}, ["limits.b", "at_least or at_most"]),
         ({"search": {"iterations": 0}}, ["search.iterations", "greater than or equal to 1", "0"]),
