@@ -159,7 +159,7 @@ def _set_up(float32: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
-    tuning.compile_quickly(True)
+    tuning.fuse_outputs()
     if problem := tuning.keep_compilations():
         _say(problem)
 
@@ -186,10 +186,8 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     """Piece after piece, until the end, the first failure or Ctrl-C."""
     from diffeed.pieces import run_in_pieces
     from diffeed.report import OBSERVE
-    from diffeed.rollout import plan
     from diffeed.steppers import DEFAULT
 
-    tuning.compile_quickly(plan(scene.duration, ask.dt, ask.frames).total <= tuning.LONG)
     pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE)
     progress = Progress(seconds=[begun])
     try:
@@ -203,7 +201,6 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
             raise
         _interrupted.clear()
         progress.stopped = True
-    tuning.compile_quickly(True)
     return progress
 
 

@@ -103,5 +103,4 @@ def _drive_power(model: Model, world: Bodies, sheets: Pairs | None, pairs: Rolle
     if pairs is not None:
         i, j = model.pair_index
         moment = moment.at[i].add(pairs.touch.friction * r.radius[i]).at[j].add(pairs.touch.friction * r.radius[j])
-    driven = jnp.array([k < r.counts[0] or k >= sum(r.counts[:3]) for k in range(n)])
-    return -jnp.sum(jnp.where(driven, moment * world.spin, 0.0))
+    return -jnp.sum(jnp.where(r.driven, moment * world.spin, 0.0))

@@ -1,13 +1,13 @@
 """`check`: every problem of a scene at once, as sentences: its numbers, then its geometry at the start, then the step."""
 
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from diffeed.check_records import check_records
-from diffeed.forces import Contacts
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
 from diffeed.snapshot import look
@@ -30,30 +30,42 @@ def check(scene: Scene, dt: float | None = None, method: str | None = None) -> l
     if problems:
         return problems
     scene = normalise(scene)
-    start, rest, found = prepare(scene)
-    model = build(scene)
-    problems = _deep(model, start, "starts", allowed=0.5)
+    model, before, state, found, now = prepare(scene)
+    problems = _deep(model, before, "starts", allowed=0.5)
     if scene.initial == "settled" and not problems:
-        problems += (
-            []
-            if bool(found)
-            else ['no rest state was found from which to start; set initial = "given" to start as written']
-        )
+        if not found:
+            problems.append('no rest state was found from which to start; set initial = "given" to start as written')
         problems += _speeds(scene)
-        problems += _deep(model, rest, "rests", allowed=0.0) if bool(found) else []
+        problems += _deep(model, now, "rests", allowed=0.0) if found else []
     if dt is not None and method in EXPLICIT and not problems:
-        problems += _too_fast(model, rest if scene.initial == "settled" else start, dt, method)
+        problems += _too_fast(model, state, dt, method)
     return problems
 
 
+class Prepared(NamedTuple):
+    """A scene ready to run. Gaps between sheets and bodies, (bodies, features), are infinite where nothing can touch."""
+
+    model: Model
+    gap_before: Array  # at the start as written
+    state: State  # from which the run starts
+    found: Array  # bool: settled, or not to be settled
+    gap: Array  # at that state
+
+
 @jax.jit
-def prepare(scene: Scene) -> tuple[State, State, Any]:
-    """The start of a normalised scene as written, the rest state reached from it, and whether it was found."""
+def prepare(scene: Scene) -> Prepared:
+    """A normalised scene, settled if it says so: one program, which `check` and the runs of the command line share."""
     model = build(scene)
     start = initial_state(model, scene)
+    state, found = start, jnp.asarray(True)
     if scene.initial == "settled":
-        return (start, *settle_model(model, start))
-    return start, start, jnp.asarray(True)
+        state, found = settle_model(model, start)
+    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state))
+
+
+def _gaps(model: Model, state: State) -> Array:
+    pairs = look(model, state)[2].sheets
+    return jnp.zeros((0, 0)) if pairs is None else jnp.where(pairs.weight > 0, pairs.gap, jnp.inf)
 
 
 def _speeds(scene: Scene) -> list[str]:
@@ -65,22 +77,13 @@ def _speeds(scene: Scene) -> list[str]:
     ]
 
 
-@jax.jit
-def _touching(model: Model, state: State) -> Contacts:
-    return look(model, state)[2]
-
-
-def _deep(model: Model, state: State, verb: str, allowed: float) -> list[str]:
+def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
     """Bars whose axis lies inside a body: penetration beyond half the thickness (plus `allowed` mm, which a start that is
     settled afterwards may have)."""
-    touching = _touching(model, state)
-    pairs = touching.sheets
-    if pairs is None:
-        return []
-    gap = np.where(np.asarray(pairs.weight) > 0, np.asarray(pairs.gap), np.inf)
     half = float(np.min(model.bars.half_thickness))
     found = []
-    for name, row in zip((*model.circle_names, *model.lines.names, *model.arcs.names), gap, strict=True):
+    names = (*model.circle_names, *model.lines.names, *model.arcs.names)
+    for name, row in zip(names, np.asarray(gap), strict=True):
         if np.isfinite(row.min()) and row.min() < -(half + allowed):
             part = f"rollers.{name}" if name in model.rollers.names else f"guides.{name}"
             found.append(
@@ -110,7 +113,7 @@ def explicit_limit(model: Model, state: State) -> tuple[float, str]:
             )
         )
         causes.append((2.78 / max(xi * bending**2, 1e-30), "structural damping"))
-    touching = _touching(model, state)
+    touching = jax.jit(look)(model, state)[2]
     lightest = float(jnp.min(bars.mass))
     pairs = touching.sheets
     if pairs is not None:

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.energy import energies
+from diffeed.energy import Energies, energies
+from diffeed.kinematics import to_nodes
 from diffeed.margin import FOLDED
 from diffeed.margin import jam_margin as jam_margin
 from diffeed.margin import jam_margins as jam_margins
@@ -20,7 +21,7 @@ from diffeed.model import Model, build, is_driven
 from diffeed.observe import commanded_speed
 from diffeed.parts import Scene, normalise
 from diffeed.snapshot import look
-from diffeed.state import mean_per_sheet
+from diffeed.state import State, mean_per_sheet
 from diffeed.trajectory import Trajectory
 
 SATURATED = 0.95
@@ -33,10 +34,39 @@ def _seen(trajectory: Trajectory, name: str, what: str) -> Any:
     return trajectory.observed[name]
 
 
-def _over_frames(scene: Scene, trajectory: Trajectory, value: Any) -> Any:
-    """value(model, state, pose, bodies, contacts) at every frame, stacked."""
-    model = build(normalise(scene))
-    return jax.lax.map(lambda state: value(model, state, *look(model, state)), trajectory.states)
+class _Motion(NamedTuple):
+    """What energies and the verdict read off frames, (frames, ...)."""
+
+    stored: Energies
+    speed: Array  # (sheets,) mm/s: each sheet along itself
+    wanted: Array  # (sheets,) mm/s: what its driven rollers command
+
+
+@jax.jit
+def _motion(scene: Scene, states: State) -> _Motion:
+    model = build(scene)
+
+    def at_frame(state: State) -> _Motion:
+        at, world, touching = look(model, state)
+        speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
+        return _Motion(energies(model, state, at, touching), speed, commanded_speed(model, at, touching, world.spin))
+
+    return jax.lax.map(at_frame, states)
+
+
+@jax.jit
+def _approach(scene: Scene, states: State) -> tuple[Array, Array]:
+    """Gap (mm) and sine of the angle between each bar's heading and each body, (frames, bodies, features)."""
+    model = build(scene)
+
+    def at_frame(state: State) -> tuple[Array, Array]:
+        at, _, touching = look(model, state)
+        pairs = touching.sheets
+        assert pairs is not None
+        c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
+        return pairs.gap, -(c * pairs.nx + s * pairs.ny)
+
+    return jax.lax.map(at_frame, states)
 
 
 # --- slip -----------------------------------------------------------------------------------------------------------
@@ -114,22 +144,18 @@ class Attack(NamedTuple):
 
 def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | None = None) -> Attack:
     """Attack angle of a sheet's head at a roller or guide (its name)."""
-    model = build(normalise(scene))
-    names = (*model.circle_names, *model.lines.names, *model.arcs.names)
+    scene = normalise(scene)
+    model = _static_model(scene)
+    names = _body_names(model)
     if part not in names:
         raise ValueError(f"no roller or guide named {part!r}; known: {', '.join(sorted(set(names)))}")
     sheet = model.layout.names[0] if sheet is None else sheet
     k = model.layout.names.index(sheet)
-    feature, bar, rows = model.layout.starts[k] + k, model.layout.starts[k], np.flatnonzero(np.array(names) == part)
-
-    def at_frame(model: Model, state: Any, at: Any, world: Any, touching: Any) -> tuple[Array, Array]:
-        pairs = touching.sheets
-        gap = pairs.gap[rows, feature]
-        row = rows[0] if len(rows) == 1 else jnp.asarray(rows)[jnp.argmin(gap)]
-        into = -(at.c[bar] * pairs.nx[row, feature] + at.s[bar] * pairs.ny[row, feature])
-        return jnp.rad2deg(jnp.arcsin(jnp.clip(into, -1.0, 1.0))), jnp.min(gap)
-
-    angle, gap = _over_frames(scene, trajectory, at_frame)
+    feature, rows = model.layout.starts[k] + k, np.flatnonzero(np.array(names) == part)
+    gaps, into = (v[:, rows, feature] for v in _approach(scene, trajectory.states))
+    nearest = jnp.argmin(gaps, axis=1)[:, None]
+    gap, sine = (jnp.take_along_axis(v, nearest, axis=1)[:, 0] for v in (gaps, into))
+    angle = jnp.rad2deg(jnp.arcsin(jnp.clip(sine, -1.0, 1.0)))
     # Differentiable: the index of the first contact is found, the angle there is read.
     first = jnp.argmax(gap < 0)
     return Attack(angle, gap, jnp.where(jnp.any(gap < 0), angle[first], jnp.nan))
@@ -145,14 +171,24 @@ class PairGaps(NamedTuple):
 
 def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:
     """Gap of every body to every feature of every sheet, touching or not: no dead gradient before contact."""
-    model = build(normalise(scene))
+    scene = normalise(scene)
+    model = _static_model(scene)
     layout = model.layout
     names = [f"{s}.{k}" for s, n in zip(layout.names, layout.bars, strict=True) for k in (*range(n), "tail")]
-    bodies = (*model.circle_names, *model.lines.names, *model.arcs.names)
+    bodies = _body_names(model)
     if not bodies:
         return PairGaps(jnp.zeros((len(trajectory.time), 0, len(names))), (), tuple(names))
-    gap = _over_frames(scene, trajectory, lambda m, s, at, world, touching: touching.sheets.gap)
-    return PairGaps(gap, bodies, tuple(names))
+    return PairGaps(_approach(scene, trajectory.states)[0], bodies, tuple(names))
+
+
+def _static_model(scene: Scene) -> Model:
+    """The model of a normalised scene for its names and counts: nothing is computed."""
+    return jax.eval_shape(build, scene)
+
+
+def _body_names(model: Model) -> tuple[str, ...]:
+    """A guide's own face and its two tips bear the same name."""
+    return (*model.circle_names, *model.lines.names, *model.arcs.names)
 
 
 # --- energy ---------------------------------------------------------------------------------------------------------
@@ -160,8 +196,7 @@ def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:
 
 def energy(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Stored energies over frames, N mm: kinetic, bending, gravity, contact, springs and their total."""
-    found = _over_frames(scene, trajectory, lambda m, s, at, world, touching: energies(m, s, at, touching))
-    stored = found._asdict()
+    stored = _motion(normalise(scene), trajectory.states).stored._asdict()
     return stored | {"total": sum(stored.values(), jnp.zeros(()))}
 
 
@@ -205,22 +240,12 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
         failure = trajectory.failure
         return Verdict("failed", failure.describe(), float(failure.time), "")
     scene = normalise(scene)
-    speed, wanted = _speeds(scene, trajectory)
+    motion = _motion(scene, trajectory.states)
     verdicts = [
-        _judge_sheet(scene, trajectory, name, np.asarray(speed)[:, k], np.asarray(wanted)[:, k])
+        _judge_sheet(scene, trajectory, name, np.asarray(motion.speed)[:, k], np.asarray(motion.wanted)[:, k])
         for k, name in enumerate(sorted(scene.sheets))
     ]
     return max(verdicts, key=lambda v: ("passed", "late", "jammed").index(v.status))
-
-
-def _speeds(scene: Scene, trajectory: Trajectory) -> tuple[Array, Array]:
-    """(frames, sheets): speed of each sheet along itself, and what its driven rollers command."""
-
-    def at_frame(model: Model, state: Any, at: Any, world: Any, touching: Any) -> tuple[Array, Array]:
-        speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-        return speed, commanded_speed(model, at, touching, world.spin)
-
-    return _over_frames(scene, trajectory, at_frame)
 
 
 def _judge_sheet(scene: Scene, trajectory: Trajectory, name: str, speed: np.ndarray, wanted: np.ndarray) -> Verdict:
@@ -311,15 +336,11 @@ def _stalled_since(speed: np.ndarray, wanted: np.ndarray, nodes: np.ndarray) -> 
 
 def _place(scene: Scene, trajectory: Trajectory, name: str, frame: int) -> str:
     """Where the lead edge is at a frame, and the part nearest to it."""
-    model = build(scene)
+    model = _static_model(scene)
     lead = np.asarray(trajectory.sheets[name].nodes)[frame, 0]
     where = f"lead edge at ({lead[0]:.1f}, {lead[1]:.1f}) mm"
     if not model.has_bodies:
         return where
     k = model.layout.names.index(name)
-    state = jax.tree.map(lambda v: v[frame], trajectory.states)
-    pairs = jax.jit(lambda s: look(model, s)[2])(state).sheets
-    assert pairs is not None
-    gap = np.asarray(pairs.gap)[:, model.layout.starts[k] + k]
-    names = (*model.circle_names, *model.lines.names, *model.arcs.names)
-    return f"{where}, nearest part {names[int(np.argmin(np.abs(gap)))]}"
+    gap = np.asarray(_approach(scene, trajectory.states)[0])[frame, :, model.layout.starts[k] + k]
+    return f"{where}, nearest part {_body_names(model)[int(np.argmin(np.abs(gap)))]}"

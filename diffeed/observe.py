@@ -190,9 +190,9 @@ class EnergySums:
 
 
 def _energy_start(model: Model, scene: Scene, state: State) -> EnergySums:
-    at, world, touching = look(model, state)
-    now = powers(model, state, at, world, touching)
-    return EnergySums(work=Powers(*[jnp.zeros_like(v) for v in now]), last=now, time=state.time)
+    # The first look is at this same time: over no time, the powers before it do not count.
+    none = Powers(*[jnp.zeros(())] * len(Powers._fields))
+    return EnergySums(work=none, last=none, time=state.time)
 
 
 def _energy_add(sums: EnergySums, state: State, now: Powers) -> EnergySums:
@@ -227,8 +227,7 @@ def _gaps_now(model: Model, at: Pose, touching: Contacts) -> tuple[Array, Array]
 
 
 def _gaps_start(model: Model, scene: Scene, state: State) -> tuple[Array, Array]:
-    at, _, touching = look(model, state)
-    return _gaps_now(model, at, touching)
+    return jnp.full((model.rollers.n,), jnp.inf), jnp.full((len(guide_names(model)),), jnp.inf)
 
 
 def _gaps_update(model: Model, scene: Scene, least: tuple[Array, Array], seen: Seen) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed.examine import prepare
-from diffeed.model import build
+from diffeed.model import Model
 from diffeed.parts import Scene, normalise
 from diffeed.records import replace
 from diffeed.rollout import begin, simulate
@@ -33,8 +33,8 @@ def run_in_pieces(scene: Scene, dt: float, frames: int, method: str, observe: tu
     """
     scene = normalise(scene)
     count = count_pieces(frames)
-    rest = prepare(scene)[1]
-    resume = _start(scene, rest, tuple(sorted(observe)))
+    start = prepare(scene)
+    resume = _start(start.model, scene, start.state, tuple(sorted(observe)))
     for _ in range(count):
         piece = simulate(
             scene, scene.duration / count, dt, (frames - 1) // count + 1, method, initial=resume, observe=observe
@@ -54,7 +54,7 @@ def cut_at_failure(trajectory: Trajectory) -> Trajectory:
 
 
 @functools.partial(jax.jit, static_argnames="observe")
-def _start(scene: Scene, state: State, observe: tuple[str, ...]) -> Resume:
+def _start(model: Model, scene: Scene, state: State, observe: tuple[str, ...]) -> Resume:
     """What a first piece goes on from, of the same types as what later ones do: so that all are one program."""
-    resume = Resume(**begin(build(scene), scene, state, observe)._asdict())
+    resume = Resume(**begin(model, scene, state, observe)._asdict())
     return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), resume)  # no weak types

@@ -125,6 +125,7 @@ def _problem(where: str, changes: dict[str, Any]) -> Any:
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", True)
+    tuning.fuse_outputs()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)
     from optimize.problem import StudyError, make_problem
