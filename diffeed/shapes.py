@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.smooth import divide, norm, step_down
+from diffeed.smooth import divide, polar, step_down
 
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
@@ -27,10 +27,8 @@ class Near(NamedTuple):
 
 def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> Near:
     """A point against a circle. At the very centre the normal is (0, 1): finite value, zero gradient of the direction."""
-    dx, dy = px - cx, py - cy
-    distance = norm(dx, dy)
-    inside = distance == 0
-    return Near(distance - radius, divide(dx, distance), jnp.where(inside, 1.0, divide(dy, distance)), jnp.ones(()))
+    distance, nx, ny = polar(px - cx, py - cy)
+    return Near(distance - radius, nx, ny, jnp.ones(()))
 
 
 class Face(NamedTuple):
@@ -68,9 +66,7 @@ def point_arc(
     The end coordinates use tan(angle/2) = cross/(1 + dot): monotone over the full turn, exact to first order at the
     ends, and free of atan2.
     """
-    dx, dy = px - cx, py - cy
-    distance = norm(dx, dy)
-    ux, uy = divide(dx, distance), divide(dy, distance)
+    distance, ux, uy = polar(px - cx, py - cy)
     half_tangent = divide(mid[0] * uy - mid[1] * ux, 1.0 + mid[0] * ux + mid[1] * uy)
     cos_q, sin_q = quarter
     scale = 2.0 * radius * cos_q
