@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from diffeed.model import Arcs, Circles, Drives, Lines, Model, Path
@@ -106,14 +107,11 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
         arc_motion = _still(arcs.x, arcs.y)
     for key, shift in shifts.items():
         family, k = key.split(".")
-        if family == "circles":
-            circles = _move_circle(circles, int(k), shift)
-        elif family == "lines" and line_motion is not None:
+        circles = _move(circles, _circles_of(model.circles, family, int(k)), shift)
+        if family == "lines" and line_motion is not None:
             lines, line_motion = _move_line(lines, line_motion, int(k), shift)
-        elif arc_motion is not None:
+        elif family == "arcs" and arc_motion is not None:
             arcs, arc_motion = _move_arc(arcs, arc_motion, int(k), shift)
-        if family != "circles":
-            circles = _move_tips(model.circles, circles, family, int(k), shift)
     return Bodies(circles, lines, arcs, line_motion, arc_motion, spin)
 
 
@@ -136,47 +134,46 @@ def _still(x: Array, y: Array) -> Rigid:
     return Rigid(x, y, zero, zero, zero)
 
 
-def _put(rigid: Rigid, k: int, x: Array, y: Array, shift: Shift, spin: bool = True) -> Rigid:
-    vx, vy = _velocity(shift, x, y)
-    w = rigid.w.at[k].add(shift.w) if spin else rigid.w
-    return Rigid(rigid.x.at[k].set(x), rigid.y.at[k].set(y), rigid.vx.at[k].set(vx), rigid.vy.at[k].set(vy), w)
+# All entries are moved and a mask keeps the others: writing single entries would chain copies, which the compiler unrolls.
 
 
-def _move_circle(circles: Rigid, k: int, shift: Shift) -> Rigid:
-    x, y = _moved(shift, circles.x[k], circles.y[k])
-    return _put(circles, k, x, y, shift)
+def _circles_of(circles: Circles, family: str, k: int) -> np.ndarray:
+    """(circles,) bool: the circles that a movement of one part carries along: itself, or a guide's tips."""
+    mask = np.zeros(circles.x.shape[0], bool)
+    if family == "circles":
+        mask[k] = True
+    tips = [(owner, index) == (family, k) for owner, index, _ in circles.tip_of]
+    mask[len(mask) - len(tips) :] |= np.array(tips, bool)
+    return mask
 
 
-def _move_tips(model: Circles, circles: Rigid, family: str, k: int, shift: Shift) -> Rigid:
-    offset = circles.x.shape[0] - len(model.tip_of)
-    for j, (owner, index, _) in enumerate(model.tip_of):
-        if (owner, index) == (family, k):
-            circles = _move_circle(circles, offset + j, shift)
-    return circles
+def _chosen(mask: np.ndarray, new: tuple[Array, Array], old: tuple[Array, Array]) -> tuple[Array, Array]:
+    return jnp.where(mask, new[0], old[0]), jnp.where(mask, new[1], old[1])
 
 
-def _move_face(face: Face, k: int, shift: Shift) -> Face:
-    tips = [_moved(shift, face.tip_x[e][k], face.tip_y[e][k]) for e in (0, 1)]
-    tip_x = (face.tip_x[0].at[k].set(tips[0][0]), face.tip_x[1].at[k].set(tips[1][0]))
-    tip_y = (face.tip_y[0].at[k].set(tips[0][1]), face.tip_y[1].at[k].set(tips[1][1]))
-    return face._replace(tip_x=tip_x, tip_y=tip_y)
+def _move(rigid: Rigid, mask: np.ndarray, shift: Shift) -> Rigid:
+    place = _moved(shift, rigid.x, rigid.y)
+    x, y = _chosen(mask, place, (rigid.x, rigid.y))
+    vx, vy = _chosen(mask, _velocity(shift, *place), (rigid.vx, rigid.vy))
+    return Rigid(x, y, vx, vy, jnp.where(mask, rigid.w + shift.w, rigid.w))
+
+
+def _move_face(face: Face, mask: np.ndarray, shift: Shift) -> Face:
+    tips = [_chosen(mask, _moved(shift, x, y), (x, y)) for x, y in zip(face.tip_x, face.tip_y, strict=True)]
+    return face._replace(tip_x=(tips[0][0], tips[1][0]), tip_y=(tips[0][1], tips[1][1]))
 
 
 def _move_line(lines: Lines, motion: Rigid, k: int, shift: Shift) -> tuple[Lines, Rigid]:
-    x, y = _moved(shift, lines.x[k], lines.y[k])
-    tx, ty = _turned(shift, lines.tx[k], lines.ty[k])
-    moved = replace(
-        lines, x=lines.x.at[k].set(x), y=lines.y.at[k].set(y), tx=lines.tx.at[k].set(tx), ty=lines.ty.at[k].set(ty),
-        faces=_move_face(lines.faces, k, shift),
-    )  # fmt: skip
-    return moved, _put(motion, k, x, y, shift)
+    mask = np.arange(lines.x.shape[0]) == k
+    motion = _move(motion, mask, shift)
+    tx, ty = _chosen(mask, _turned(shift, lines.tx, lines.ty), (lines.tx, lines.ty))
+    faces = _move_face(lines.faces, mask, shift)
+    return replace(lines, x=motion.x, y=motion.y, tx=tx, ty=ty, faces=faces), motion
 
 
 def _move_arc(arcs: Arcs, motion: Rigid, k: int, shift: Shift) -> tuple[Arcs, Rigid]:
-    x, y = _moved(shift, arcs.x[k], arcs.y[k])
-    mx, my = _turned(shift, arcs.mid_x[k], arcs.mid_y[k])
-    moved = replace(
-        arcs, x=arcs.x.at[k].set(x), y=arcs.y.at[k].set(y), mid_x=arcs.mid_x.at[k].set(mx),
-        mid_y=arcs.mid_y.at[k].set(my), faces=_move_face(arcs.faces, k, shift),
-    )  # fmt: skip
-    return moved, _put(motion, k, x, y, shift)
+    mask = np.arange(arcs.x.shape[0]) == k
+    motion = _move(motion, mask, shift)
+    mid_x, mid_y = _chosen(mask, _turned(shift, arcs.mid_x, arcs.mid_y), (arcs.mid_x, arcs.mid_y))
+    faces = _move_face(arcs.faces, mask, shift)
+    return replace(arcs, x=motion.x, y=motion.y, mid_x=mid_x, mid_y=mid_y, faces=faces), motion
