@@ -159,7 +159,7 @@ def _set_up(float32: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
-    tuning.fuse_outputs()
+    tuning.compile_quickly()
     if problem := tuning.keep_compilations():
         _say(problem)
 

@@ -10,6 +10,9 @@ import click
 from diffeed.terminal import SETTINGS, Refusal, console, refusing
 
 STUDY = click.argument("study")
+FUSE = click.option(
+    "--fuse", is_flag=True, help="Gradients in half the time; on some machines the compiler needs too much memory for it."
+)
 
 
 @click.group(context_settings=SETTINGS)
@@ -22,6 +25,7 @@ def main() -> None:
 
 @main.command(context_settings=SETTINGS)
 @STUDY
+@FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the improved scene, pictures and the search.")
 @click.option("--resume", is_flag=True, help="Go on with the search that stopped in --out.")
 @click.option("--force", is_flag=True, help="Replace a search that is already in --out.")
@@ -30,6 +34,7 @@ def main() -> None:
 @click.option("--no-pictures", is_flag=True, help="Write the scene and the numbers only.")
 def design(
     study: str,
+    fuse: bool,
     out: Path | None,
     resume: bool,
     force: bool,
@@ -47,7 +52,7 @@ def design(
     """
     if resume and out is None:
         raise Refusal("--resume needs --out, the folder of the search")
-    problem = _problem(study, _changes(iterations, seconds))
+    problem = _problem(study, fuse, _changes(iterations, seconds))
     from optimize.design import design as run
     from optimize.journal import JournalError
     from optimize.report import print_result, write_result
@@ -62,16 +67,17 @@ def design(
 
 @main.command(context_settings=SETTINGS)
 @STUDY
+@FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the table and the plots.")
 @click.option("--samples", type=click.IntRange(8, 4096), default=64, show_default=True, help="Runs for each trend.")
-def check(study: str, out: Path | None, samples: int) -> None:
+def check(study: str, fuse: bool, out: Path | None, samples: int) -> None:
     """May the gradients of a study be believed? Both modes, differences, and the trend over a designer's step.
 
     \b
     Example:
       python -m optimize check nip_slip
     """
-    problem = _problem(study, {})
+    problem = _problem(study, fuse, {})
     from optimize.trust import check_study
 
     found = check_study(problem, samples)
@@ -84,18 +90,19 @@ def check(study: str, out: Path | None, samples: int) -> None:
 
 @main.command(context_settings=SETTINGS)
 @STUDY
+@FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for comparison.json and comparison.png.")
 @click.option(
     "--budget", type=click.IntRange(10), default=1500, show_default=True, help="Most simulations of each search."
 )
-def compare(study: str, out: Path | None, budget: int) -> None:
+def compare(study: str, fuse: bool, out: Path | None, budget: int) -> None:
     """Simulations that the gradient needs, beside differential evolution and Nelder-Mead on the same objective.
 
     \b
     Example:
       python -m optimize compare nip_slip --budget 500
     """
-    problem = _problem(study, {})
+    problem = _problem(study, fuse, {})
     from optimize.compare import compare as run
     from optimize.compare import table, write_comparison
 
@@ -119,13 +126,13 @@ def _changes(iterations: int | None, seconds: float | None) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _problem(where: str, changes: dict[str, Any]) -> Any:
+def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
     import jax
 
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", True)
-    tuning.fuse_outputs()
+    (tuning.fuse_outputs if fuse else tuning.compile_quickly)()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)
     from optimize.problem import StudyError, make_problem

@@ -6,6 +6,9 @@ import jax
 import matplotlib
 import pytest
 
+from diffeed import tuning
+
+tuning.compile_quickly()  # as the command line does; flags that are given in XLA_FLAGS stay
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
