@@ -16,12 +16,16 @@ from diffeed.records import fields, number, part, record, replace, word
 T = TypeVar("T")
 
 
+OF_THE_FIELD = "that of the field"
+"""Unit of a profile's values."""
+
+
 @record
 class Profile:
     """A value over time, piecewise linear, constant before the first and after the last point."""
 
     times: Any = number(unit="s", doc="increasing times", shape=("points",))
-    values: Any = number(unit="that of the field", doc="value at each time", shape=("points",))
+    values: Any = number(unit=OF_THE_FIELD, doc="value at each time", shape=("points",))
 
 
 @record

@@ -14,7 +14,7 @@ import numpy as np
 
 from diffeed.check_values import measure, show
 from diffeed.names import hint
-from diffeed.parts import Motion, Profile, Scene
+from diffeed.parts import OF_THE_FIELD, Motion, Profile, Scene
 from diffeed.records import fields, replace
 
 T = TypeVar("T")
@@ -50,7 +50,9 @@ def unit(scene: Scene, path: str) -> str:
     get(scene, path)
     node, found = scene, None
     for name in names:
-        found = _field(node, name) or found
+        inner = _field(node, name)
+        if inner is not None and not (found is not None and inner.metadata.get("unit") == OF_THE_FIELD):
+            found = inner  # a profile's values have the unit of the field that holds it
         node = _children(node)[name]
     if found is None or found.metadata["role"] != "number":
         raise PathError(f'"{path}" is not a number')

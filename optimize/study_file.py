@@ -28,8 +28,8 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     file = shipped.get(where, Path(where))
     table = _parse(file, where, sorted(shipped))
     scene = table.get("scene")
-    if isinstance(scene, str) and where not in shipped and not os.path.isabs(scene):
-        beside = Path(where).parent / scene
+    if isinstance(scene, str) and not os.path.isabs(scene):
+        beside = file.parent / scene
         table["scene"] = str(beside) if beside.is_file() else scene
     return make_study(table, where)
 

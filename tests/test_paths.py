@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diffeed.parts import FixedRoller, LineGuide, Motion, MovableRoller, Profile, Scene, Sheet, normalise
-from diffeed.paths import PathError, get, numbers, parse_assignment, put
+from diffeed.paths import PathError, get, numbers, parse_assignment, put, unit
 
 
 def raw_scene() -> Scene:
@@ -150,3 +150,15 @@ def test_parse_assignment_reads_a_profile():
 def test_wrong_assignment(text):
     with pytest.raises(PathError, match="must read"):
         parse_assignment(text)
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("rollers.drive.angular_speed.values[1]", "rad/s"),
+        ("rollers.drive.angular_speed.times[1]", "s"),
+        ("rollers.pinch.preload", "N"),
+    ],
+)
+def test_the_value_of_a_profile_has_the_unit_of_its_field(path, expected):
+    assert unit(normalise(raw_scene()), path) == expected
