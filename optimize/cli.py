@@ -11,7 +11,9 @@ from diffeed.terminal import SETTINGS, Refusal, console, refusing
 
 STUDY = click.argument("study")
 FUSE = click.option(
-    "--fuse", is_flag=True, help="Gradients in half the time; on some machines the compiler needs too much memory for it."
+    "--fuse",
+    is_flag=True,
+    help="Gradients in half the time; on some machines the compiler needs too much memory for it.",
 )
 
 

@@ -9,7 +9,7 @@ import pytest
 from stand_in_nip import nip
 
 import optimize
-from optimize import descent
+from optimize import descent, evaluate
 from optimize.design import design, finish
 from optimize.evaluate import Evaluator
 from optimize.journal import Journal, JournalError, read_history
@@ -219,3 +219,15 @@ def test_ctrl_c_leaves_a_usable_result():
     assert "stopped by hand after 4" in result.reason
     assert result.improved
     assert isinstance(result, optimize.Result)
+
+
+def test_the_expected_gradient_is_not_ruled_by_one_sample():
+    """Four samples of length 1 and one of 1000: that one counts as 3. A failed sample does not count at all."""
+    others = np.array([[1.0, 0.0]] * 4)
+    gradient = jnp.asarray(np.concatenate([others, [[0.0, 1000.0]], [[np.nan, np.nan]]])[None])
+    fine = jnp.array([[True] * 5 + [False]])
+    kept = np.asarray(evaluate._without_outliers(gradient, fine))[0]
+    np.testing.assert_allclose(kept[:4], others)
+    np.testing.assert_allclose(kept[4], [0.0, evaluate.OUTLIER])
+    alone = jnp.array([[[3.0, 4.0]]])
+    np.testing.assert_allclose(evaluate._without_outliers(alone, jnp.array([[True]])), alone)
