@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from diffeed.examine import check
     from diffeed.gradient_faults import explain_gradient
     from diffeed.gradient_trust import GradientCheck, check_function, gradient_check
-    from diffeed.gradients import gradient_plan, value_and_gradient
+    from diffeed.gradients import GradientPlan, gradient_plan, value_and_gradient
     from diffeed.observe import OBSERVERS
     from diffeed.parts import (
         ArcGuide,
@@ -52,6 +52,7 @@ __all__ = [
     "Contact",
     "FixedRoller",
     "GradientCheck",
+    "GradientPlan",
     "LineGuide",
     "Linearisation",
     "Load",
@@ -92,7 +93,7 @@ _MODULES = {
     "examine": ("check",),
     "gradient_trust": ("GradientCheck", "check_function", "gradient_check"),
     "gradient_faults": ("explain_gradient",),
-    "gradients": ("gradient_plan", "value_and_gradient"),
+    "gradients": ("GradientPlan", "gradient_plan", "value_and_gradient"),
     "observe": ("OBSERVERS",),
     "parts": (
         "ArcGuide",

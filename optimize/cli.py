@@ -149,7 +149,9 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
                 found = found.model_copy(update={"stages": [*found.stages[:-1], last]})
             study = study.model_copy(update={"search": found})
         click.echo(f"{where}: checking and compiling (takes longest the first time)", err=True)
-        return make_problem(study, where)
+        problem = make_problem(study, where)
+        click.echo(f"gradient: {problem.plan().sentence()}", err=True)
+        return problem
 
 
 @contextmanager

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-import diffeed
 from optimize.problem import Problem, Seen, Settings, look, loss
 
 TOGETHER = 16
@@ -95,8 +94,7 @@ class Evaluator:
 
     def _make(self, duration: float | None):
         problem, draws = self.problem, jnp.asarray(self.draws)
-        study = problem.study
-        scheme = diffeed.gradient_plan(problem.scenes[0], len(problem.names), duration or study.duration, study.dt)
+        mode = problem.plan(duration).mode
 
         def one(point: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Seen]:
             unit, multipliers, penalty, smoothing = point
@@ -105,7 +103,7 @@ class Evaluator:
                 value, seen = loss(problem, u, multipliers, penalty, Settings(smoothing, duration))
                 return value, (value, seen)
 
-            take = jax.jacfwd if scheme.mode == "forward" else jax.jacrev
+            take = jax.jacfwd if mode == "forward" else jax.jacrev
             gradient, (value, seen) = take(of, has_aux=True)(unit)
             return value, gradient, seen
 

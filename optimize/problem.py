@@ -105,6 +105,13 @@ class Problem:
         ends = np.where(moved - np.asarray(start) < 0.5 * np.array(sizes), back, moved)
         return np.abs(free.unit(self.variables, ends) - self.start)
 
+    def plan(self, duration: float | None = None) -> diffeed.GradientPlan:
+        """How the gradient of one run is taken, and what it needs."""
+        study = self.study
+        return diffeed.gradient_plan(
+            self.scenes[0], len(self.names), duration or study.duration, study.dt, study.frames
+        )
+
     def scene(self, unit: Any, medium: int = 0) -> diffeed.Scene:
         """The scene of a point."""
         return free.applied(self.scenes[medium], self.variables, free.physical(self.variables, jnp.asarray(unit)))
