@@ -109,3 +109,13 @@ def test_studies_are_listed():
     done = CliRunner().invoke(main, ["studies"])
     assert done.exit_code == 0
     assert "nip_slip" in done.output
+
+
+@pytest.mark.slow
+def test_compare_runs_the_three_searches(place):
+    done = run(place, "compare", "study.toml", "--budget", "12", "--out", "compared")
+    assert done.returncode == 0, done.stderr
+    for name in ("gradient", "differential evolution", "Nelder-Mead"):
+        assert re.search(rf"^{name} +\S+", done.stdout, re.MULTILINE), done.stdout
+    data = json.loads((place / "compared" / "comparison.json").read_text())
+    assert data["gradient_cost"] > 1.0

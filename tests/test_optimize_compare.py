@@ -1,0 +1,35 @@
+"""The comparison with gradient-free search: how it counts."""
+
+import json
+
+import numpy as np
+import pytest
+
+from optimize.compare import Comparison, Trace, reached, table, write_comparison
+
+GRADIENT = Trace("gradient", np.array([1.0, 5.0, 10.0]), np.array([10.0, 5.0, 1.0]))
+SLOW = Trace("Nelder-Mead", np.array([1.0, 2.0, 3.0, 40.0]), np.array([10.0, 8.0, 8.0, 1.0]))
+LOST = Trace("differential evolution", np.array([1.0, 30.0]), np.array([10.0, 2.0]))
+FOUND = Comparison([GRADIENT, SLOW, LOST], target=1.02, ratio=4.0, variables=3)
+
+
+def test_the_cost_at_which_the_target_is_reached():
+    assert reached(GRADIENT, 1.02) == 10.0
+    assert reached(GRADIENT, 5.0) == 5.0
+    assert reached(LOST, 1.02) is None
+
+
+def test_the_table_gives_times_of_the_gradient():
+    rows = table(FOUND).splitlines()
+    assert rows[2].split()[-3:] == ["10", "1.0", "1"]
+    assert rows[3].split()[-3:] == ["40", "4.0", "1"]
+    assert "not reached" in rows[4]
+    assert rows[4].split()[-3:] == [">", "3.0", "2"]
+
+
+def test_the_file_holds_every_gain(tmp_path):
+    assert write_comparison(tmp_path / "new", FOUND) == ["comparison.json", "comparison.png"]
+    data = json.loads((tmp_path / "new" / "comparison.json").read_text())
+    assert data["searches"]["Nelder-Mead"]["falls"] == [[1.0, 10.0], [2.0, 8.0], [40.0, 1.0]]
+    assert data["searches"]["Nelder-Mead"]["forward_runs"] == pytest.approx(40.0)
+    assert (tmp_path / "new" / "comparison.png").stat().st_size > 5_000
