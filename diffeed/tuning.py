@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 QUICK = {"xla_cpu_use_fusion_emitters": "false"}
@@ -9,6 +10,10 @@ QUICK = {"xla_cpu_use_fusion_emitters": "false"}
 FUSED = QUICK | {"xla_backend_extra_options": "xla_cpu_use_multi_output_fusion"}
 """One loop makes several results: steps take two thirds of the time, gradients half. Not for every scene: with some (those
 of `runge_kutta` among them) the compiler goes on until the memory is full."""
+
+
+NEWEST = (0, 10)
+"""Version of jaxlib up to which these flags are known to exist: one that the compiler does not know ends the process."""
 
 
 def compile_quickly() -> None:
@@ -22,6 +27,8 @@ def fuse_outputs() -> None:
 
 
 def _set_flags(flags: dict[str, str]) -> None:
+    if tuple(int(n) for n in version("jaxlib").split(".")[:2]) > NEWEST:
+        return
     given = os.environ.get("XLA_FLAGS", "")
     ours = [f"--{name}={value}" for name, value in flags.items() if name not in given]
     os.environ["XLA_FLAGS"] = " ".join([given, *ours]).strip()

@@ -1,0 +1,38 @@
+"""Compiler settings of the command line: set where nothing else was asked for, and only where they are known."""
+
+import os
+
+import pytest
+
+from diffeed import tuning
+
+
+@pytest.fixture
+def flags(monkeypatch):
+    """The flags after a call, from those given before; nothing is compiled here."""
+
+    def after(call, given, version="0.10.2"):
+        monkeypatch.setenv("XLA_FLAGS", given)
+        monkeypatch.setattr(tuning, "version", lambda name: version)
+        call()
+        return os.environ["XLA_FLAGS"].split()
+
+    return after
+
+
+def test_flags_are_added_to_those_given(flags):
+    assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", "--xla_cpu_use_fusion_emitters=false"]
+    assert len(flags(tuning.fuse_outputs, "")) == 2
+
+
+def test_what_the_user_set_stays(flags):
+    given = "--xla_cpu_use_fusion_emitters=true"
+    assert flags(tuning.compile_quickly, given) == [given]
+    assert flags(tuning.fuse_outputs, given) == [
+        given, "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("version", ["0.11.0", "1.0.0rc1"])
+def test_a_newer_compiler_gets_no_flags_that_it_may_not_know(flags, version):
+    assert flags(tuning.fuse_outputs, "", version) == []
