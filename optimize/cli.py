@@ -70,7 +70,7 @@ def design(
 @main.command(context_settings=SETTINGS)
 @STUDY
 @FUSE
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the table and the plots.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the table, as text and as numbers.")
 @click.option("--samples", type=click.IntRange(8, 4096), default=64, show_default=True, help="Runs for each trend.")
 def check(study: str, fuse: bool, out: Path | None, samples: int) -> None:
     """May the gradients of a study be believed? Both modes, differences, and the trend over a designer's step.
