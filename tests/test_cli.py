@@ -242,9 +242,9 @@ def interrupted(place: Path, moment: bytes, *arguments: str) -> tuple[int, str, 
     """Run in a terminal, since a progress bar is drawn only there, and press Ctrl-C when `moment` appears."""
     master, slave = pty.openpty()
     whole = [*COMMAND, "run", "mini.toml", *arguments]
-    process = subprocess.Popen(
-        whole, cwd=place, env=environment(place), stdout=subprocess.PIPE, stderr=slave, text=True
-    )
+    # Ctrl-C may fall into an import and leave its file to the collector: Python says so only where all warnings are errors.
+    quiet = environment(place) | {"PYTHONWARNINGS": "error,ignore::ResourceWarning"}
+    process = subprocess.Popen(whole, cwd=place, env=quiet, stdout=subprocess.PIPE, stderr=slave, text=True)
     os.close(slave)
     try:
         seen = read_until(master, moment)
