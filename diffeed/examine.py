@@ -82,8 +82,7 @@ def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
     settled afterwards may have)."""
     half = float(np.min(model.bars.half_thickness))
     found = []
-    names = (*model.circle_names, *model.lines.names, *model.arcs.names)
-    for name, row in zip(names, np.asarray(gap), strict=True):
+    for name, row in zip(model.body_names, np.asarray(gap), strict=True):
         if np.isfinite(row.min()) and row.min() < -(half + allowed):
             part = f"rollers.{name}" if name in model.rollers.names else f"guides.{name}"
             found.append(

@@ -165,7 +165,7 @@ def _system_is_fine(scene: Scene, state: State, h: float, implicit: bool) -> Arr
 
 
 def _names(model: Model, body: int, feature: int) -> tuple[str, str]:
-    bodies = (*model.circle_names, *model.lines.names, *model.arcs.names)
+    bodies = model.body_names
     layout = model.layout
     names = [
         f"{s}, bar {k}" if k < n else f"{s}, tail"

@@ -146,7 +146,7 @@ def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | N
     """Attack angle of a sheet's head at a roller or guide (its name)."""
     scene = normalise(scene)
     model = _static_model(scene)
-    names = _body_names(model)
+    names = model.body_names
     if part not in names:
         raise ValueError(f"no roller or guide named {part!r}; known: {', '.join(sorted(set(names)))}")
     sheet = model.layout.names[0] if sheet is None else sheet
@@ -175,7 +175,7 @@ def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:
     model = _static_model(scene)
     layout = model.layout
     names = [f"{s}.{k}" for s, n in zip(layout.names, layout.bars, strict=True) for k in (*range(n), "tail")]
-    bodies = _body_names(model)
+    bodies = model.body_names
     if not bodies:
         return PairGaps(jnp.zeros((len(trajectory.time), 0, len(names))), (), tuple(names))
     return PairGaps(_approach(scene, trajectory.states)[0], bodies, tuple(names))
@@ -184,11 +184,6 @@ def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:
 def _static_model(scene: Scene) -> Model:
     """The model of a normalised scene for its names and counts: nothing is computed."""
     return jax.eval_shape(build, scene)
-
-
-def _body_names(model: Model) -> tuple[str, ...]:
-    """A guide's own face and its two tips bear the same name."""
-    return (*model.circle_names, *model.lines.names, *model.arcs.names)
 
 
 # --- energy ---------------------------------------------------------------------------------------------------------
@@ -343,4 +338,4 @@ def _place(scene: Scene, trajectory: Trajectory, name: str, frame: int) -> str:
         return where
     k = model.layout.names.index(name)
     gap = np.asarray(_approach(scene, trajectory.states)[0])[frame, :, model.layout.starts[k] + k]
-    return f"{where}, nearest part {_body_names(model)[int(np.argmin(np.abs(gap)))]}"
+    return f"{where}, nearest part {model.body_names[int(np.argmin(np.abs(gap)))]}"

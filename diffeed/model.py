@@ -271,8 +271,13 @@ class Model:
     circle_names: tuple[str, ...] = word(default=(), doc="part behind each circle", type=tuple)
 
     @property
+    def body_names(self) -> tuple[str, ...]:
+        """Of all bodies, in the order of the contact sweep; a guide's own face and its two tips bear the same name."""
+        return (*self.circle_names, *self.lines.names, *self.arcs.names)
+
+    @property
     def has_bodies(self) -> bool:
-        return bool(self.circle_names or self.lines.names or self.arcs.names)
+        return bool(self.body_names)
 
     @property
     def pair_index(self) -> tuple[np.ndarray, np.ndarray]:
