@@ -173,23 +173,51 @@ def _settle(scene: Scene) -> State:
 
 def settle_model(model: Model, start: State) -> tuple[State, Array]:
     """Rest state near `start`, and whether it was found."""
-    still = at_rest(model)
-    q0 = positions(model, start)
-    inertia = generalised_inertia(model, start)
-
-    def imbalance(rest: Rest) -> Rest:
-        state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
-        (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
-        belongs = held_places(still, start)[1]
-        force = generalised_force(still, state) + pull(rest.reaction)[0]
-        return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs)
-
-    guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
-    limit = _step_limit(still, start)
-    rest, converged = lax.custom_root(
-        imbalance, guess, lambda f, x: _relax(f, x, inertia, limit), _tangent_solve, has_aux=True
-    )
+    rest, converged = _balance(Freed(at_rest(model), start, generalised_inertia(model, start)))
     return with_positions(model, start, rest.q, jnp.zeros_like(rest.q)), converged > 0
+
+
+class Freed(NamedTuple):
+    """What is let go: the model without dampers, where it starts, and its inertia in q."""
+
+    model: Model
+    start: State
+    inertia: Array
+
+
+def _imbalance(freed: Freed, rest: Rest) -> Rest:
+    """Generalised forces and clamp gaps that are left over at a would-be rest."""
+    still, start, inertia = freed
+    q0 = positions(still, start)
+    state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
+    (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
+    belongs = held_places(still, start)[1]
+    force = generalised_force(still, state) + pull(rest.reaction)[0]
+    return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs)
+
+
+@jax.custom_jvp
+def _balance(freed: Freed) -> tuple[Rest, Array]:
+    """Where the imbalance vanishes, and 1.0 if it was found, else 0.0."""
+    still, start, inertia = freed
+    guess = Rest(positions(still, start), jnp.zeros_like(held_places(still, start)[1]))
+    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start))
+
+
+@_balance.defjvp
+def _balance_moves(primals: tuple[Freed], tangents: tuple[Freed]) -> tuple[Any, Any]:
+    """Implicit-function theorem: the rest moves by the change of the imbalance over its slope.
+
+    `lax.custom_root` does the same; it traces and compiles the slope again for reverse mode, where this rule needs only
+    the transpose of one matrix.
+    """
+    (freed,), (freed_dot,) = primals, tangents
+    rest, converged = _balance(freed)
+    slope = _dense(jax.jacfwd(lambda r: _imbalance(freed, r))(rest))
+    _, change = jax.jvp(lambda f: _imbalance(f, rest), (freed,), (freed_dot,))
+    move = jnp.linalg.solve(slope, -jnp.concatenate(change))
+    n = rest.q.shape[0]
+    return (rest, converged), (Rest(move[:n], move[n:]), jnp.zeros_like(converged))
 
 
 def generalised_inertia(model: Model, state: State) -> Array:
@@ -289,15 +317,6 @@ def _newton_step(jacobian: Any, gap: Rest, shift: Array) -> Rest:
 
 def _dense(jacobian: Any) -> Array:
     return jnp.block([[jacobian.q.q, jacobian.q.reaction], [jacobian.reaction.q, jacobian.reaction.reaction]])
-
-
-def _tangent_solve(linear: Any, target: Rest) -> Rest:
-    """Solve the linearised balance: dense, for the sizes at hand."""
-    n = target.q.shape[0]
-    zero = jax.tree.map(jnp.zeros_like, target)
-    matrix = _dense(jax.jacfwd(linear)(zero))
-    x = jnp.linalg.solve(matrix, jnp.concatenate([target.q, target.reaction]))
-    return Rest(x[:n], x[n:])
 
 
 # --- linearise ----------------------------------------------------------------------------------------------------------
