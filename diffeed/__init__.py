@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     )
     from diffeed.paths import get, numbers, put, unit
     from diffeed.rollout import simulate
-    from diffeed.scene_file import load_scene, save_scene, scene_text, shipped_scenes
+    from diffeed.scene_file import load_scene, read_scene, save_scene, scene_text, shipped_scenes
     from diffeed.stacking import stack
     from diffeed.state import State
     from diffeed.statics import Linearisation, linearise, settle
@@ -77,6 +77,7 @@ __all__ = [
     "measures",
     "numbers",
     "put",
+    "read_scene",
     "save_scene",
     "scene",
     "scene_text",
@@ -113,7 +114,7 @@ _MODULES = {
     ),
     "paths": ("get", "numbers", "put", "unit"),
     "rollout": ("simulate",),
-    "scene_file": ("load_scene", "save_scene", "scene_text", "shipped_scenes"),
+    "scene_file": ("load_scene", "read_scene", "save_scene", "scene_text", "shipped_scenes"),
     "stacking": ("stack",),
     "state": ("State",),
     "statics": ("Linearisation", "linearise", "settle"),

@@ -4,17 +4,15 @@ Each part of the margin is 1 - load/limit, so that 0 is the limit and 1 is no lo
 judgement of the same run.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.frames import approach
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
 from diffeed.smooth import ramp, soft_max
-from diffeed.snapshot import look
 from diffeed.trajectory import Trajectory
 
 NEEDS = ("feed", "spans")
@@ -49,7 +47,7 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
         "buckling": 1.0 - trajectory.observed["spans"][name].buckling / HELD,
         "fold": _fold(trajectory, name),
     }
-    model = build(scene)
+    model = jax.eval_shape(build, scene)  # names and counts only
     if model.lines.names or model.arcs.names:
         parts |= _head(model, scene, trajectory, name)
     return parts
@@ -84,17 +82,9 @@ def _fold(trajectory: Trajectory, name: str) -> Array:
 def _head(model: Model, scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Array]:
     """Attack and gap of the head at line and arc guides, over frames."""
     k = model.layout.names.index(name)
-    feature, bar, first = model.layout.starts[k] + k, model.layout.starts[k], len(model.circle_names)
-
-    def at_frame(state: Any) -> tuple[Array, Array]:
-        at, _, touching = look(model, state)
-        pairs = touching.sheets
-        assert pairs is not None
-        into = -(at.c[bar] * pairs.nx[first:, feature] + at.s[bar] * pairs.ny[first:, feature])
-        gap = jnp.where(pairs.weight[first:, feature] > 0, pairs.gap[first:, feature], jnp.inf)
-        return into, gap
-
-    into, gap = jax.lax.map(at_frame, trajectory.states)  # (frames, guides)
+    feature, first = model.layout.starts[k] + k, len(model.circle_names)
+    gap, into, weight = (v[:, first:, feature] for v in approach(scene, trajectory.states))  # (frames, guides)
+    gap = jnp.where(weight > 0, gap, jnp.inf)
     friction = jnp.stack([scene.guides[n].friction for n in (*model.lines.names, *model.arcs.names)])
     holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)
     steep = jnp.arcsin(jnp.clip(into, -0.999, 0.999)) / holds[None]

@@ -1,7 +1,7 @@
 """Engineering numbers from a scene and its trajectory.
 
-Functions that return arrays are differentiable; `verdict` judges a finished run and
-needs concrete values of a single run. What must be seen in every step (means, peaks, arrivals) comes from
+Functions that return arrays are differentiable; `verdict` judges a finished run and needs concrete values of a single
+run, `outcome` is the same judgement in numbers. What must be seen in every step (means, peaks, arrivals) comes from
 `trajectory.observed`: ask `simulate` for it with `observe=(...)`.
 """
 
@@ -12,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.energy import Energies, energies
-from diffeed.kinematics import to_nodes
-from diffeed.margin import FOLDED
+from diffeed.frames import approach, motion
 from diffeed.margin import jam_margin as jam_margin
 from diffeed.margin import jam_margins as jam_margins
-from diffeed.model import Model, build, is_driven
-from diffeed.observe import commanded_speed
+from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
-from diffeed.snapshot import look
-from diffeed.state import State, mean_per_sheet
 from diffeed.trajectory import Trajectory
+from diffeed.verdict import STATUSES as STATUSES
+from diffeed.verdict import Outcome as Outcome
+from diffeed.verdict import Verdict as Verdict
+from diffeed.verdict import outcome as outcome
+from diffeed.verdict import verdict as verdict
 
 SATURATED = 0.95
 """Share of the friction limit above which a contact counts as truly sliding."""
@@ -32,41 +32,6 @@ def _seen(trajectory: Trajectory, name: str, what: str) -> Any:
     if name not in trajectory.observed:
         raise ValueError(f'{what} needs simulate(..., observe=("{name}",))')
     return trajectory.observed[name]
-
-
-class _Motion(NamedTuple):
-    """What energies and the verdict read off frames, (frames, ...)."""
-
-    stored: Energies
-    speed: Array  # (sheets,) mm/s: each sheet along itself
-    wanted: Array  # (sheets,) mm/s: what its driven rollers command
-
-
-@jax.jit
-def _motion(scene: Scene, states: State) -> _Motion:
-    model = build(scene)
-
-    def at_frame(state: State) -> _Motion:
-        at, world, touching = look(model, state)
-        speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-        return _Motion(energies(model, state, at, touching), speed, commanded_speed(model, at, touching, world.spin))
-
-    return jax.lax.map(at_frame, states)
-
-
-@jax.jit
-def _approach(scene: Scene, states: State) -> tuple[Array, Array]:
-    """Gap (mm) and sine of the angle between each bar's heading and each body, (frames, bodies, features)."""
-    model = build(scene)
-
-    def at_frame(state: State) -> tuple[Array, Array]:
-        at, _, touching = look(model, state)
-        pairs = touching.sheets
-        assert pairs is not None
-        c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
-        return pairs.gap, -(c * pairs.nx + s * pairs.ny)
-
-    return jax.lax.map(at_frame, states)
 
 
 # --- slip -----------------------------------------------------------------------------------------------------------
@@ -152,7 +117,7 @@ def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | N
     sheet = model.layout.names[0] if sheet is None else sheet
     k = model.layout.names.index(sheet)
     feature, rows = model.layout.starts[k] + k, np.flatnonzero(np.array(names) == part)
-    gaps, into = (v[:, rows, feature] for v in _approach(scene, trajectory.states))
+    gaps, into, _ = (v[:, rows, feature] for v in approach(scene, trajectory.states))
     nearest = jnp.argmin(gaps, axis=1)[:, None]
     gap, sine = (jnp.take_along_axis(v, nearest, axis=1)[:, 0] for v in (gaps, into))
     angle = jnp.rad2deg(jnp.arcsin(jnp.clip(sine, -1.0, 1.0)))
@@ -178,7 +143,7 @@ def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:
     bodies = model.body_names
     if not bodies:
         return PairGaps(jnp.zeros((len(trajectory.time), 0, len(names))), (), tuple(names))
-    return PairGaps(_approach(scene, trajectory.states)[0], bodies, tuple(names))
+    return PairGaps(approach(scene, trajectory.states).gap, bodies, tuple(names))
 
 
 def _static_model(scene: Scene) -> Model:
@@ -191,7 +156,7 @@ def _static_model(scene: Scene) -> Model:
 
 def energy(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Stored energies over frames, N mm: kinetic, bending, gravity, contact, springs and their total."""
-    stored = _motion(normalise(scene), trajectory.states).stored._asdict()
+    stored = motion(normalise(scene), trajectory.states).stored._asdict()
     return stored | {"total": sum(stored.values(), jnp.zeros(()))}
 
 
@@ -204,138 +169,3 @@ def energy_balance(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     losses = {f"lost in {k}": work[k] for k in ("friction", "contact", "joints", "rollers")}
     numerical = work["drives"] - stored - sum(losses.values(), jnp.zeros(()))
     return {"work of drives": work["drives"], "stored": stored} | losses | {"numerical": numerical}
-
-
-# --- verdict --------------------------------------------------------------------------------------------------------
-
-
-class Verdict(NamedTuple):
-    """passed, jammed, late (still moving, but the goal is not reached) or failed (numerically)."""
-
-    status: str
-    reason: str
-    time: float | None
-    place: str
-
-    def sentence(self) -> str:
-        when = "" if self.time is None else f" at {self.time:.4g} s"
-        where = f", {self.place}" if self.place else ""
-        return f"{self.status}{when}: {self.reason}{where}"
-
-
-STALLED = 0.1
-"""Share of the commanded speed below which a sheet stands still."""
-STRAYED = 50.0
-"""mm outside the box around all parts that counts as having left the path."""
-
-
-def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
-    """Judge a finished run, the worst sheet first. A scene's `goal` names the sensor that each tail must pass."""
-    if not bool(trajectory.ok):
-        failure = trajectory.failure
-        return Verdict("failed", failure.describe(), float(failure.time), "")
-    scene = normalise(scene)
-    motion = _motion(scene, trajectory.states)
-    verdicts = [
-        _judge_sheet(scene, trajectory, name, np.asarray(motion.speed)[:, k], np.asarray(motion.wanted)[:, k])
-        for k, name in enumerate(sorted(scene.sheets))
-    ]
-    return max(verdicts, key=lambda v: ("passed", "late", "jammed").index(v.status))
-
-
-def _judge_sheet(scene: Scene, trajectory: Trajectory, name: str, speed: np.ndarray, wanted: np.ndarray) -> Verdict:
-    track, time = trajectory.sheets[name], np.asarray(trajectory.time)
-    nodes = np.asarray(track.nodes)
-    done = _passed_goal(scene, trajectory, name)
-    if done is not None:
-        return Verdict("passed", f"the tail of {name} passed {scene.goal}", done, "")
-    if (k := _first(_is_folded(np.asarray(track.headings)))) is not None:
-        return Verdict("jammed", f"{name} folded back on itself", float(time[k]), _place(scene, trajectory, name, k))
-    if (k := _first(_has_strayed(scene, nodes))) is not None:
-        return Verdict("jammed", f"{name} left the path", float(time[k]), _place(scene, trajectory, name, k))
-    if any(is_driven(r) for r in scene.rollers.values()) and (k := _stalled_since(speed, wanted, nodes)) is not None:
-        held = np.abs(wanted[k:]).max() > 0
-        reason = f"{name} stalled" if held else f"{name} stalled: no driven roller holds it"
-        return Verdict("jammed", reason, float(time[k]), _place(scene, trajectory, name, k))
-    if scene.goal:
-        return Verdict(
-            "late", f"the tail of {name} has not reached {scene.goal} at the end of the run", float(time[-1]), ""
-        )
-    return Verdict("passed", f"{name} was moving freely at the end", None, "")
-
-
-def _first(flags: np.ndarray) -> int | None:
-    found = np.flatnonzero(flags)
-    return int(found[0]) if len(found) else None
-
-
-def _passed_goal(scene: Scene, trajectory: Trajectory, name: str) -> float | None:
-    """Time at which the tail passed the goal: exact if arrivals were observed, else from the frames."""
-    if not scene.goal:
-        return None
-    if "arrivals" in trajectory.observed:
-        at = float(arrival(trajectory, name, scene.goal, "tail"))
-        return at if np.isfinite(at) else None
-    sensor = scene.sensors[scene.goal]
-    way = np.asarray(sensor.direction) / np.linalg.norm(np.asarray(sensor.direction))
-    offset = np.asarray(trajectory.sheets[name].nodes)[:, -1] - np.asarray(sensor.position)
-    along, across = offset @ way, np.abs(offset @ np.array([-way[1], way[0]]))
-    crossed = (along[:-1] < 0) & (along[1:] >= 0) & (across[1:] < float(sensor.range))
-    k = _first(crossed)
-    return None if k is None else float(trajectory.time[k + 1])
-
-
-def _is_folded(headings: np.ndarray) -> np.ndarray:
-    """(frames,) bool."""
-    span = min(3, headings.shape[1] - 1)
-    if span < 1:
-        return np.zeros(len(headings), bool)
-    return (np.abs(headings[:, span:] - headings[:, :-span]) > FOLDED).any(axis=1)
-
-
-def _has_strayed(scene: Scene, nodes: np.ndarray) -> np.ndarray:
-    points = _points(scene)
-    if not len(points):
-        return np.zeros(len(nodes), bool)
-    # A sheet that starts outside the parts (on a table that is not modelled) has not strayed there.
-    points = np.concatenate([points, nodes[0]])
-    low, high = points.min(axis=0) - STRAYED, points.max(axis=0) + STRAYED
-    length = np.linalg.norm(nodes[0, 0] - nodes[0, -1])
-    lead = nodes[:, 0]
-    out = ((lead < low - length) | (lead > high + length)).any(axis=1)
-    # Ahead of the last roller a sheet may hang out by its length; sideways, it may not fall out of the machine.
-    return out | (nodes[:, :, 1].max(axis=1) < low[1])
-
-
-def _points(scene: Scene) -> np.ndarray:
-    """Corners of the boxes around all rollers and guides."""
-    found = []
-    for part in (*scene.rollers.values(), *scene.guides.values()):
-        if hasattr(part, "start"):
-            found += [np.asarray(part.start), np.asarray(part.end)]
-        else:
-            center, radius = np.asarray(part.center), float(part.radius)
-            found += [center - radius, center + radius]
-    return np.array(found).reshape(-1, 2)
-
-
-def _stalled_since(speed: np.ndarray, wanted: np.ndarray, nodes: np.ndarray) -> int | None:
-    """Frame since which the sheet has stood still until the end (for at least a twentieth of the run)."""
-    reference = np.abs(wanted).max()
-    if reference == 0.0:
-        return None
-    moving = np.flatnonzero(np.abs(speed) >= STALLED * reference)
-    since = int(moving[-1]) + 1 if len(moving) else 0
-    return since if len(speed) - since >= max(2, len(speed) // 20) else None
-
-
-def _place(scene: Scene, trajectory: Trajectory, name: str, frame: int) -> str:
-    """Where the lead edge is at a frame, and the part nearest to it."""
-    model = _static_model(scene)
-    lead = np.asarray(trajectory.sheets[name].nodes)[frame, 0]
-    where = f"lead edge at ({lead[0]:.1f}, {lead[1]:.1f}) mm"
-    if not model.has_bodies:
-        return where
-    k = model.layout.names.index(name)
-    gap = np.asarray(_approach(scene, trajectory.states)[0])[frame, :, model.layout.starts[k] + k]
-    return f"{where}, nearest part {model.body_names[int(np.argmin(np.abs(gap)))]}"

@@ -24,8 +24,17 @@ MAX_BYTES = 10_000_000
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     """The scene of a shipped scene's name or of a TOML file; SceneError lists everything that is wrong with it."""
     where = os.fspath(name_or_path)
+    return _scene(_parse(_find(where), where), where)
+
+
+def read_scene(text: str) -> Scene:
+    """The scene of a scene file's text, as `scene_text` writes it."""
+    return _scene(_decode(text.encode(), "scene"), "scene")
+
+
+def _scene(table: dict[str, Any], where: str) -> Scene:
     problems: list[str] = []
-    scene = _read(Scene, "", _parse(_find(where), where), problems)
+    scene = _read(Scene, "", table, problems)
     problems += check_records(scene)
     if problems:
         raise SceneError(problems, where)
@@ -80,7 +89,13 @@ def _find(where: str) -> Traversable:
 def _parse(file: Traversable, where: str) -> dict[str, Any]:
     try:
         with file.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+            return _decode(stream.read(MAX_BYTES + 1), where)
+    except OSError as error:
+        raise SceneError([f"the file is not readable TOML: {error}"], where) from None
+
+
+def _decode(data: bytes, where: str) -> dict[str, Any]:
+    try:
         if len(data) > MAX_BYTES:
             raise SceneError([f"the file must be <= {MAX_BYTES / 1e6:g} MB, but is larger"], where)
         return tomllib.loads(data.decode("utf-8-sig"))
@@ -88,7 +103,7 @@ def _parse(file: Traversable, where: str) -> dict[str, Any]:
         raise
     except RecursionError:
         raise SceneError(["the file nests tables or lists too deeply"], where) from None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise SceneError([f"the file is not readable TOML: {error}"], where) from None
 
 

@@ -39,6 +39,8 @@ HOLD = 0.02
 ANCHOR = 1e4
 """s: inertia over this time squared fixes what nothing else does (an idle roller that touches nothing)."""
 ITERATIONS = 500
+COLD, WARM = 1e-6, 1e-3
+"""s2: squared length of the first implicit step of the search, from an unknown and from a nearby state."""
 
 
 class Rest(NamedTuple):
@@ -152,42 +154,47 @@ def at_rest(model: Model) -> Model:
     )
 
 
-def settle(scene: Scene) -> State:
+def settle(scene: Scene, near: State | None = None) -> State:
     """Rest state of a scene: pinches down, sheets at rest in closed nips, cantilevers bent.
+
+    `near`: the rest state of a scene that differs little, to begin the search with; it takes some ten iterations then.
+    What friction holds still counts from where the scene's own records put things, so that the answer is the same.
 
     Differentiable by the implicit-function theorem. Where no rest state is found (a sheet in free fall) the state's
     numbers are NaN, so that a run started from it fails and says so.
     """
     scene = normalise(scene)
     warn_if_single(scene)
-    return _settle(scene)
+    return _settle(scene, near)
 
 
 @jax.jit
-def _settle(scene: Scene) -> State:
+def _settle(scene: Scene, near: State | None) -> State:
     model = build(scene)
-    state, converged = settle_model(model, initial_state(model, scene))
+    state, converged = settle_model(model, initial_state(model, scene), near)
     # A factor, not a choice: the gradient of what was not found is NaN as well, never a silent zero.
     return jax.tree.map(lambda v: v * jnp.where(converged, 1.0, jnp.nan).astype(v.dtype), state)
 
 
-def settle_model(model: Model, start: State) -> tuple[State, Array]:
-    """Rest state near `start`, and whether it was found."""
-    rest, converged = _balance(Freed(at_rest(model), start, generalised_inertia(model, start)))
+def settle_model(model: Model, start: State, near: State | None = None) -> tuple[State, Array]:
+    """Rest state of what is let go at `start`, and whether it was found. The search begins at `near`, or at `start`."""
+    guess = None if near is None else lax.stop_gradient(positions(model, near))
+    rest, converged = _balance(Freed(at_rest(model), start, generalised_inertia(model, start), guess))
     return with_positions(model, start, rest.q, jnp.zeros_like(rest.q)), converged > 0
 
 
 class Freed(NamedTuple):
-    """What is let go: the model without dampers, where it starts, and its inertia in q."""
+    """What is let go: the model without dampers, where it starts, its inertia in q, and where the search may begin."""
 
     model: Model
     start: State
     inertia: Array
+    guess: Array | None
 
 
 def _imbalance(freed: Freed, rest: Rest) -> Rest:
     """Generalised forces and clamp gaps that are left over at a would-be rest."""
-    still, start, inertia = freed
+    still, start, inertia, _ = freed
     q0 = positions(still, start)
     state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
     (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
@@ -199,9 +206,10 @@ def _imbalance(freed: Freed, rest: Rest) -> Rest:
 @jax.custom_jvp
 def _balance(freed: Freed) -> tuple[Rest, Array]:
     """Where the imbalance vanishes, and 1.0 if it was found, else 0.0."""
-    still, start, inertia = freed
-    guess = Rest(positions(still, start), jnp.zeros_like(held_places(still, start)[1]))
-    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start))
+    still, start, inertia, near = freed
+    q0, span2 = (positions(still, start), COLD) if near is None else (near, WARM)
+    guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
+    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start), span2)
 
 
 @_balance.defjvp
@@ -259,7 +267,7 @@ class _Search(NamedTuple):
     done: Array
 
 
-def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any) -> tuple[Rest, Array]:
+def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float) -> tuple[Rest, Array]:
     """Pseudo-transient continuation: implicit steps from rest whose length grows as the imbalance falls (switched
     evolution relaxation), ending in Newton's method."""
     dtype = guess.q.dtype
@@ -298,7 +306,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any) -> tuple[Res
         jnp.zeros((), jnp.int32),
         guess,
         guess,
-        jnp.full((), 1e-6, dtype),
+        jnp.full((), first, dtype),
         jnp.full((), jnp.inf, dtype),
         jnp.zeros((), bool),
     )

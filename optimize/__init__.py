@@ -8,18 +8,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from optimize.asked import StudyError
     from optimize.blame import arising, blame
     from optimize.design import Result, design
-    from optimize.problem import Problem, StudyError, make_problem
+    from optimize.problem import Problem, make_problem
     from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
     from optimize.study_file import load_study, make_study, shipped_studies
     from optimize.terms import TERMS
     from optimize.trust import check_study
 
 _HOMES = {
+    "asked": ("StudyError",),
     "blame": ("arising", "blame"),
     "design": ("Result", "design"),
-    "problem": ("Problem", "StudyError", "make_problem"),
+    "problem": ("Problem", "make_problem"),
     "study": ("Goal", "Limit", "Medium", "Search", "Stage", "Study", "Variable"),
     "study_file": ("load_study", "make_study", "shipped_studies"),
     "terms": ("TERMS",),

@@ -13,7 +13,8 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from optimize.problem import Problem, objective_of, simulate, values_of
+from optimize.asked import values_of
+from optimize.problem import Problem, objective_of, simulate
 
 
 class Blame(NamedTuple):

@@ -137,7 +137,8 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
     (tuning.fuse_outputs if fuse else tuning.compile_quickly)()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)
-    from optimize.problem import StudyError, make_problem
+    from optimize.asked import StudyError
+    from optimize.problem import make_problem
     from optimize.study_file import load_study
 
     with refusing(StudyError):

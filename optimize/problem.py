@@ -13,35 +13,14 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from diffeed.names import hint, nearest
+from diffeed.names import nearest
 from optimize import variables as free
-from optimize.study import Goal, Limit, Study
-from optimize.terms import TERMS, Term
+from optimize.asked import Asked, StudyError, changed, resolved, shown, values_of, violations
+from optimize.study import Goal, Study
+from optimize.terms import TERMS
 
 SLACK = 1e-2
 """A limit counts as kept when it is missed by less than this share of its scale."""
-
-
-class StudyError(ValueError):
-    """A study that cannot be used; `problems` lists everything that is wrong with it."""
-
-    def __init__(self, problems: list[str], where: str = "study") -> None:
-        super().__init__(problems, where)
-        self.problems, self.where = list(problems), where
-
-    def __str__(self) -> str:
-        count = "1 problem" if len(self.problems) == 1 else f"{len(self.problems)} problems"
-        return "\n".join([f"{self.where}: {count}", *(f"  {p}" for p in self.problems)])
-
-
-class Asked(NamedTuple):
-    """One term of the objective or one limit, resolved."""
-
-    name: str
-    term: Term
-    parts: tuple[str, ...]
-    at: str
-    spec: Goal | Limit
 
 
 class Seen(NamedTuple):
@@ -146,27 +125,6 @@ def eased(scene: diffeed.Scene, factor: Any) -> diffeed.Scene:
     return scene
 
 
-def values_of(asked: tuple[Asked, ...], scene: diffeed.Scene, run: Any) -> Array:
-    """(terms,) each the mean over its parts."""
-    found = [
-        jnp.mean(jnp.stack([jnp.asarray(a.term.value(scene, run, part, a.at)) for part in a.parts])) for a in asked
-    ]
-    return jnp.stack(found) if found else jnp.zeros((0,))
-
-
-def violations(problem: Problem, values: Array) -> Array:
-    """(sides,) how far each limit is broken, in its scale; negative where it is kept."""
-    found = []
-    for value, asked in zip(values, problem.limits, strict=True):
-        spec = asked.spec
-        assert isinstance(spec, Limit)
-        if spec.at_least is not None:
-            found.append((spec.at_least - value) / spec.scale)
-        if spec.at_most is not None:
-            found.append((value - spec.at_most) / spec.scale)
-    return jnp.stack(found) if found else jnp.zeros((0,))
-
-
 def objective_of(problem: Problem, values: Array) -> Array:
     """The weighted sum of the goals."""
     total = jnp.zeros(())
@@ -186,7 +144,7 @@ def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
         moved = free.applied(scene, problem.variables, free.physical(problem.variables, unit))
         run = simulate(problem, eased(moved, factor), settings.duration)
         goals, limits = values_of(problem.goals, moved, run), values_of(problem.limits, moved, run)
-        return Seen(goals, limits, violations(problem, limits), objective_of(problem, goals), run.ok)
+        return Seen(goals, limits, violations(problem.limits, limits), objective_of(problem, goals), run.ok)
 
     if len(problem.scenes) == 1:
         return jax.tree.map(lambda v: v[None], one(problem.scenes[0]))
@@ -222,12 +180,12 @@ def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None
     except diffeed.SceneError as error:
         raise StudyError([f"scene: {p}" for p in error.problems], where) from None
     problems: list[str] = []
-    base = _changed(base, study.set, "set", problems)
-    scenes = {name: _changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
+    base = changed(base, study.set, "set", problems)
+    scenes = {name: changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
     scenes = scenes or {"": base}
     problems += _variable_problems(study, base)
-    goals = tuple(_resolved(study, "objective", n, g, base, problems) for n, g in study.objective.items())
-    limits = tuple(_resolved(study, "limits", n, g, base, problems) for n, g in study.limits.items())
+    goals = tuple(resolved("objective", n, g, base, problems) for n, g in study.objective.items())
+    limits = tuple(resolved("limits", n, g, base, problems) for n, g in study.limits.items())
     problems += _setting_problems(study)
     if not problems:
         for name, medium in scenes.items():
@@ -248,15 +206,6 @@ def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None
     )
 
 
-def _changed(scene: diffeed.Scene, changes: dict[str, Any], where: str, problems: list[str]) -> diffeed.Scene:
-    for path, value in changes.items():
-        try:
-            scene = diffeed.put(scene, path, value)
-        except ValueError as error:
-            problems.append(f"{where}: {error}")
-    return scene
-
-
 def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
     for name, variable in study.variables.items():
         where = f"variables.{name}"
@@ -265,7 +214,7 @@ def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
             try:
                 value = diffeed.get(scene, path)
                 if np.ndim(value) or isinstance(value, str) or value is None:
-                    found.append(f"{where}.path must name one number, but {path} holds {_shown(value)}")
+                    found.append(f"{where}.path must name one number, but {path} holds {shown(value)}")
             except ValueError as error:
                 found.append(f"{where}.path: {error}")
         for part in (*(variable.shift or ()), *(variable.turn or ())):
@@ -279,48 +228,6 @@ def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
             start, (low, high) = free.start_of(variable, scene), variable.bounds
             if not low <= start <= high:
                 yield f"{where}.bounds must hold the start, {start:g}, but are [{low:g}, {high:g}]"
-
-
-def _shown(value: Any) -> str:
-    return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else repr(value)
-
-
-def _resolved(
-    study: Study, section: str, name: str, spec: Goal | Limit, scene: diffeed.Scene, problems: list[str]
-) -> Asked | None:
-    where = f"{section}.{name}"
-    if spec.measure not in TERMS:
-        problems.append(
-            f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{nearest(spec.measure, TERMS)}'
-        )
-        return None
-    term, before = TERMS[spec.measure], len(problems)
-    parts = _parts(where, term, spec, scene, problems)
-    if term.at and spec.at not in scene.sensors:
-        known = ", ".join(sorted(scene.sensors)) or "none in this scene"
-        problems.append(
-            f"{where}.at must name a sensor ({known}), but is {'missing' if not spec.at else repr(spec.at)}"
-        )
-    if not term.at and spec.at:
-        problems.append(f'{where}.at is only for arrivals; "{spec.measure}" takes none')
-    return Asked(name, term, parts, spec.at or "", spec) if len(problems) == before else None
-
-
-def _parts(where: str, term: Term, spec: Goal | Limit, scene: diffeed.Scene, problems: list[str]) -> tuple[str, ...]:
-    if not term.of:
-        if spec.of:
-            problems.append(f'{where}.of must be left out: "{spec.measure}" is of the whole machine')
-        return ("",)
-    known = getattr(scene, term.of)
-    named = [spec.of] if isinstance(spec.of, str) else list(spec.of or ())
-    if not named and term.of == "sheets":
-        named = [min(known)]
-    if not named:
-        problems.append(f"{where}.of must name one or more {term.of}: {', '.join(sorted(known))}")
-    for part in named:
-        if part not in known:
-            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint(part, known)}')
-    return tuple(named)
 
 
 def _setting_problems(study: Study) -> Iterator[str]:

@@ -3,7 +3,7 @@
 The records are checked by pydantic; what they mean for a scene is checked by `optimize.problem`.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -18,8 +18,8 @@ class Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
 
 
-class Variable(Record):
-    """One number that the search may change. Exactly one of `path`, `shift` and `turn` says what it moves.
+class Moved(Record):
+    """What one number moves: exactly one of `path`, `shift` and `turn` is given.
 
     `path`: a number of the scene, or several that share one value (two rollers, one radius). `shift`: parts that move
     together along `direction`, in mm from where they are drawn. `turn`: parts that turn together about `about`, in degrees.
@@ -30,20 +30,35 @@ class Variable(Record):
     turn: list[str] | None = None
     direction: Pair | None = None
     about: Pair | None = None
+    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
+
+    @model_validator(mode="after")
+    def _one_meaning(self) -> "Moved":
+        given = [name for name in self.meanings if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(f"exactly one of {', '.join(self.meanings)} must be given, but {len(given)} are")
+        if (self.direction is not None) != (given == ["shift"]):
+            raise ValueError("direction belongs to shift, and only there")
+        if (self.about is not None) != (given == ["turn"]):
+            raise ValueError("about (the point) belongs to turn, and only there")
+        return self
+
+    @property
+    def paths(self) -> list[str]:
+        """The paths, if that is what it moves."""
+        return [self.path] if isinstance(self.path, str) else list(self.path or ())
+
+
+class Variable(Moved):
+    """One number that the search may change."""
+
     bounds: Pair
     start: float | None = None
     transform: Literal["bounded", "log"] = "bounded"
     tolerance: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_meaning(self) -> "Variable":
-        given = [name for name in ("path", "shift", "turn") if getattr(self, name)]
-        if len(given) != 1:
-            raise ValueError(f"exactly one of path, shift, turn must be given, but {len(given)} are")
-        if (self.direction is not None) != (given == ["shift"]):
-            raise ValueError("direction belongs to shift, and only there")
-        if (self.about is not None) != (given == ["turn"]):
-            raise ValueError("about (the point) belongs to turn, and only there")
+    def _holds_its_start(self) -> "Variable":
         low, high = self.bounds
         if not low < high:
             raise ValueError(f"bounds must be [lower, upper] with lower < upper, but are {[low, high]}")
@@ -53,29 +68,26 @@ class Variable(Record):
             raise ValueError(f"start must lie within bounds {[low, high]}, but is {self.start:g}")
         return self
 
-    @property
-    def paths(self) -> list[str]:
-        """The paths of a `path` variable."""
-        return [self.path] if isinstance(self.path, str) else list(self.path or ())
 
-
-class Goal(Record):
-    """One term of the objective: weight * ((measure - target)/scale)^2 with a target, weight * measure/scale without."""
+class Measured(Record):
+    """A measure of a run: of which parts, and at which sensor."""
 
     measure: str
     of: str | list[str] | None = None
     at: str | None = None
+
+
+class Goal(Measured):
+    """One term of the objective: weight * ((measure - target)/scale)^2 with a target, weight * measure/scale without."""
+
     weight: float = 1.0
     target: float | None = None
     scale: Positive = 1.0
 
 
-class Limit(Record):
+class Limit(Measured):
     """An inequality constraint on a measure. `scale` is the size of a violation that matters."""
 
-    measure: str
-    of: str | list[str] | None = None
-    at: str | None = None
     at_least: float | None = None
     at_most: float | None = None
     scale: Positive = 1.0

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from diffeed.names import hint
-from optimize.problem import StudyError
+from optimize.asked import StudyError
 from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
 
 MAX_BYTES = 1_000_000
@@ -24,6 +24,14 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     A relative path of the scene counts from the study file.
     """
     where = os.fspath(name_or_path)
+    table, _ = read_table(where)
+    if "tolerances" in table and "variables" not in table:
+        raise StudyError(["this is a tolerance study (it has tolerances, no variables)"], where)
+    return make_study(table, where)
+
+
+def read_table(where: str) -> tuple[dict[str, Any], Path]:
+    """The plain table of a shipped study or of a TOML file, the path of its scene made whole; and the file's folder."""
     shipped = shipped_studies()
     file = shipped.get(where, Path(where))
     table = _parse(file, where, sorted(shipped))
@@ -31,7 +39,7 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     if isinstance(scene, str) and not os.path.isabs(scene):
         beside = file.parent / scene
         table["scene"] = str(beside) if beside.is_file() else scene
-    return make_study(table, where)
+    return table, file.parent
 
 
 def make_study(table: dict[str, Any], where: str = "study") -> Study:
@@ -39,7 +47,7 @@ def make_study(table: dict[str, Any], where: str = "study") -> Study:
     try:
         return Study.model_validate(table)
     except ValidationError as error:
-        raise StudyError([_sentence(e) for e in error.errors()], where) from None
+        raise StudyError([sentence(e, _RECORDS, Study) for e in error.errors()], where) from None
 
 
 def shipped_studies() -> dict[str, Path]:
@@ -64,13 +72,13 @@ def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
         raise StudyError([f"the file is not readable TOML: {error}"], where) from None
 
 
-def _sentence(error: Any) -> str:
-    """One problem in the words of a study file: path, what it must be, what it is."""
+def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseModel]) -> str:
+    """One problem in the words of a study file: path, what it must be, what it is. `records`: by section, for hints."""
     places = [str(p) for p in error["loc"] if not (isinstance(p, str) and p.startswith(("list[", "str", "function-")))]
     where, kind = ".".join(places), error["type"]
     if kind == "extra_forbidden":
-        section = next((p for p in reversed(places[:-1]) if p in _RECORDS), "")
-        fields = list((_RECORDS[section] if section else Study).model_fields)
+        section = next((p for p in reversed(places[:-1]) if p in records), "")
+        fields = list((records[section] if section else whole).model_fields)
         return f"{where} is not a field here{hint(places[-1], fields)}"
     if kind == "missing":
         return f"{where} is missing"

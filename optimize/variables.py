@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from optimize.study import Variable
+from optimize.study import Moved, Variable
 
 PLACES = ("center", "start", "end")
 """Fields that say where a part stands."""
@@ -69,13 +69,14 @@ def applied(scene: diffeed.Scene, variables: Sequence[Variable], values: Array) 
         for path in variable.paths:
             scene = diffeed.put(scene, path, value)
         for part in variable.shift or ():
-            scene = _shifted(scene, part, variable.direction, value)
+            scene = shifted(scene, part, variable.direction, value)
         for part in variable.turn or ():
-            scene = _turned(scene, part, variable.about, value)
+            scene = turned(scene, part, variable.about, value)
     return scene
 
 
-def _shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> diffeed.Scene:
+def shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> diffeed.Scene:
+    """The scene with a roller or guide moved by `value` mm along a direction."""
     way = np.asarray(direction, dtype=float)
     way = way / np.linalg.norm(way)
     for path in places(scene, part):
@@ -83,7 +84,8 @@ def _shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> d
     return scene
 
 
-def _turned(scene: diffeed.Scene, part: str, about: Any, value: Array) -> diffeed.Scene:
+def turned(scene: diffeed.Scene, part: str, about: Any, value: Array) -> diffeed.Scene:
+    """The scene with a roller or guide turned by `value` degrees about a point."""
     pivot, angle = np.asarray(about, dtype=float), jnp.deg2rad(value)
     c, s = jnp.cos(angle), jnp.sin(angle)
     for path in places(scene, part):
@@ -104,7 +106,7 @@ def places(scene: diffeed.Scene, part: str) -> list[str]:
     return [f"{part}.{name}" for name in PLACES if hasattr(held, name)]
 
 
-def unit_text(scene: diffeed.Scene, variable: Variable) -> str:
+def unit_text(scene: diffeed.Scene, variable: Moved) -> str:
     """The unit of a variable."""
     if variable.shift:
         return "mm"

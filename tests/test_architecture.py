@@ -32,7 +32,9 @@ RANKS = """
     snapshot
     spans
     observe
+    frames
     margin
+    verdict
     statics
     rollout examine
     pieces

@@ -1,0 +1,58 @@
+"""What is read off the frames of a finished run: one compiled program each, mapped over the frames."""
+
+from typing import NamedTuple
+
+import jax
+from jax import Array
+
+from diffeed.energy import Energies, energies
+from diffeed.kinematics import to_nodes
+from diffeed.model import build
+from diffeed.observe import commanded_speed
+from diffeed.parts import Scene
+from diffeed.snapshot import look
+from diffeed.state import State, mean_per_sheet
+
+
+class Motion(NamedTuple):
+    """What energies and the verdict read off frames, (frames, ...)."""
+
+    stored: Energies
+    speed: Array  # (sheets,) mm/s: each sheet along itself
+    wanted: Array  # (sheets,) mm/s: what its driven rollers command
+
+
+@jax.jit
+def motion(scene: Scene, states: State) -> Motion:
+    """Energies and speeds of a normalised scene."""
+    model = build(scene)
+
+    def at_frame(state: State) -> Motion:
+        at, world, touching = look(model, state)
+        speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
+        return Motion(energies(model, state, at, touching), speed, commanded_speed(model, at, touching, world.spin))
+
+    return jax.lax.map(at_frame, states)
+
+
+class Approach(NamedTuple):
+    """Every pair of body and feature, (frames, bodies, features)."""
+
+    gap: Array  # mm
+    into: Array  # sine of the angle between the bar's heading and the body's face
+    weight: Array  # 0..1: share of the contact that the pair carries
+
+
+@jax.jit
+def approach(scene: Scene, states: State) -> Approach:
+    """How every bar stands to every body of a normalised scene."""
+    model = build(scene)
+
+    def at_frame(state: State) -> Approach:
+        at, _, touching = look(model, state)
+        pairs = touching.sheets
+        assert pairs is not None
+        c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
+        return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
+
+    return jax.lax.map(at_frame, states)

@@ -1,0 +1,107 @@
+"""What a study asks of a run: measures looked up in TERMS, parts and sensors in the scene, and their values."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import diffeed
+from diffeed.names import hint, nearest
+from optimize.study import Limit, Measured
+from optimize.terms import TERMS, Term
+
+
+class StudyError(ValueError):
+    """A study that cannot be used; `problems` lists everything that is wrong with it."""
+
+    def __init__(self, problems: list[str], where: str = "study") -> None:
+        super().__init__(problems, where)
+        self.problems, self.where = list(problems), where
+
+    def __str__(self) -> str:
+        count = "1 problem" if len(self.problems) == 1 else f"{len(self.problems)} problems"
+        return "\n".join([f"{self.where}: {count}", *(f"  {p}" for p in self.problems)])
+
+
+class Asked(NamedTuple):
+    """One term of the objective or one limit, resolved."""
+
+    name: str
+    term: Term
+    parts: tuple[str, ...]
+    at: str
+    spec: Any  # Goal, Limit or Measured
+
+
+def values_of(asked: tuple[Asked, ...], scene: diffeed.Scene, run: Any) -> Array:
+    """(terms,) each the mean over its parts."""
+    found = [
+        jnp.mean(jnp.stack([jnp.asarray(a.term.value(scene, run, part, a.at)) for part in a.parts])) for a in asked
+    ]
+    return jnp.stack(found) if found else jnp.zeros((0,))
+
+
+def violations(limits: tuple[Asked, ...], values: Array) -> Array:
+    """(sides,) how far each limit is broken, in its scale; negative where it is kept."""
+    found = []
+    for value, asked in zip(values, limits, strict=True):
+        spec = asked.spec
+        assert isinstance(spec, Limit)
+        if spec.at_least is not None:
+            found.append((spec.at_least - value) / spec.scale)
+        if spec.at_most is not None:
+            found.append((value - spec.at_most) / spec.scale)
+    return jnp.stack(found) if found else jnp.zeros((0,))
+
+
+def changed(scene: diffeed.Scene, changes: dict[str, Any], where: str, problems: list[str]) -> diffeed.Scene:
+    """The scene with numbers replaced by path; what does not fit is added to `problems`."""
+    for path, value in changes.items():
+        try:
+            scene = diffeed.put(scene, path, value)
+        except ValueError as error:
+            problems.append(f"{where}: {error}")
+    return scene
+
+
+def shown(value: Any) -> str:
+    """A value in a message."""
+    return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else repr(value)
+
+
+def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, problems: list[str]) -> Asked | None:
+    """Look up measure, parts and sensor; None, and a line in `problems`, where something does not fit."""
+    where = f"{section}.{name}"
+    if spec.measure not in TERMS:
+        problems.append(
+            f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{nearest(spec.measure, TERMS)}'
+        )
+        return None
+    term, before = TERMS[spec.measure], len(problems)
+    parts = _parts(where, term, spec, scene, problems)
+    if term.at and spec.at not in scene.sensors:
+        known = ", ".join(sorted(scene.sensors)) or "none in this scene"
+        problems.append(
+            f"{where}.at must name a sensor ({known}), but is {'missing' if not spec.at else repr(spec.at)}"
+        )
+    if not term.at and spec.at:
+        problems.append(f'{where}.at is only for arrivals; "{spec.measure}" takes none')
+    return Asked(name, term, parts, spec.at or "", spec) if len(problems) == before else None
+
+
+def _parts(where: str, term: Term, spec: Measured, scene: diffeed.Scene, problems: list[str]) -> tuple[str, ...]:
+    if not term.of:
+        if spec.of:
+            problems.append(f'{where}.of must be left out: "{spec.measure}" is of the whole machine')
+        return ("",)
+    known = getattr(scene, term.of)
+    named = [spec.of] if isinstance(spec.of, str) else list(spec.of or ())
+    if not named and term.of == "sheets":
+        named = [min(known)]
+    if not named:
+        problems.append(f"{where}.of must name one or more {term.of}: {', '.join(sorted(known))}")
+    for part in named:
+        if part not in known:
+            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint(part, known)}')
+    return tuple(named)

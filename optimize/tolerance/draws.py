@@ -1,0 +1,228 @@
+"""From a study to numbers: its inputs (one per number that scatters), and what sample i draws for each of them.
+
+Row i of `uniforms` belongs to sample i whatever the batch, chunk, device or process that runs it; `deviations` turns it
+into what is added to the scene's own numbers. All on the host, by SciPy.
+"""
+
+import csv
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+import diffeed
+from diffeed.names import hint
+from optimize import variables as free
+from optimize.asked import shown
+from optimize.study import Moved
+from optimize.tolerance.media import CLIMATES, Card, MediaError, find
+from optimize.tolerance.records import Tolerance, ToleranceStudy
+
+EDGE = 1e-12
+"""Uniform numbers are kept this far from 0 and 1, whose normal deviates are infinite."""
+
+
+class Input(NamedTuple):
+    """One independent number that scatters."""
+
+    name: str
+    of: Tolerance
+    what: Moved  # what this input alone moves
+    unit: str  # of its deviation; "1" for a share
+    column: np.ndarray | None  # sorted measured values, kind "data"
+    nominal: float  # of a number by path; 0 for movements and climates
+    climate: tuple[str, Card, float] | None  # sheet, card, the climate that the study starts from
+
+    @property
+    def share(self) -> bool:
+        """Whether it is a share of the nominal value."""
+        return self.of.relative or self.of.kind == "log_normal"
+
+    @property
+    def scale(self) -> float:
+        """What a unit deviate is worth: a standard deviation, or half the width (uniform, triangular)."""
+        of = self.of
+        if of.kind == "data":
+            return 1.0
+        if of.kind in ("uniform", "triangular"):
+            return of.tolerance or float(of.sigma or 0.0) * np.sqrt(3.0 if of.kind == "uniform" else 6.0)
+        return of.sigma or float(of.tolerance or 0.0) / of.sigmas
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the deviation, in its unit."""
+        if self.column is not None:
+            return float(np.std(self.column))
+        return self.scale * float(_deviate(self).std())
+
+
+def _cut(given: Input) -> tuple[float, float]:
+    """Limits of a truncated normal, in standard deviations."""
+    low, high = given.of.limits or (-(given.of.tolerance or 0.0), given.of.tolerance or 0.0)
+    return low / given.scale, high / given.scale
+
+
+def _deviate(given: Input) -> Any:
+    """The distribution of the deviate, about 0: SciPy's, frozen."""
+    if given.of.kind == "uniform":
+        return stats.uniform(-1.0, 2.0)
+    if given.of.kind == "triangular":
+        return stats.triang(0.5, -1.0, 2.0)
+    return stats.truncnorm(*_cut(given)) if given.of.kind == "truncated_normal" else stats.norm()
+
+
+# --- inputs -------------------------------------------------------------------------------------------------------------
+
+
+def inputs_of(
+    study: ToleranceStudy, scene: diffeed.Scene, folder: Path, problems: list[str]
+) -> tuple[tuple[Input, ...], dict[str, tuple[Card, float]]]:
+    """All inputs in the order of the study, and the media cards by sheet; what does not fit is added to `problems`."""
+    cards = {}
+    for sheet, name in study.media.items():
+        try:
+            if sheet not in scene.sheets:
+                raise MediaError(f'there is no sheet "{sheet}"{hint(sheet, scene.sheets)}')
+            card, climate = find(name)
+            cards[sheet] = (card, CLIMATES[climate])
+        except MediaError as error:
+            problems.append(f"media.{sheet}: {error}")
+    found = []
+    for name, of in study.tolerances.items():
+        before = len(problems)
+        column = _column(f"tolerances.{name}", of, folder, problems) if of.kind == "data" else None
+        for part, what in _targets(of):
+            label = name if part is None else f"{name}[{part}]"
+            made = _input(label, of, what, column, scene, cards, problems)
+            if made is not None and len(problems) == before:
+                found.append(made)
+    return tuple(found), cards
+
+
+def _targets(of: Tolerance) -> list[tuple[str | None, Moved]]:
+    """What moves independently: each path or part by itself, unless tied."""
+    several = of.paths or of.shift or of.turn or []
+    if of.climate is not None or of.tied or len(several) == 1:
+        return [(None, of)]
+    if of.path:
+        single = [Moved(path=p) for p in several]
+    elif of.shift:
+        single = [Moved(shift=[p], direction=of.direction) for p in several]
+    else:
+        single = [Moved(turn=[p], about=of.about) for p in several]
+    return [(_part(p), what) for p, what in zip(several, single, strict=True)]
+
+
+def _part(path: str) -> str:
+    """rollers.drive_1.radius -> drive_1: what tells like parts apart."""
+    names = path.split(".")
+    return names[1] if len(names) > 1 else path
+
+
+def _input(
+    label: str, of: Tolerance, what: Moved, column: np.ndarray | None, scene: diffeed.Scene,
+    cards: dict[str, tuple[Card, float]], problems: list[str],
+) -> Input | None:  # fmt: skip
+    where = f"tolerances.{label}"
+    if of.climate is not None:
+        if of.climate not in cards:
+            problems.append(
+                f'{where}.climate needs a card for sheet "{of.climate}": media.{of.climate} = "copy_paper_80", say'
+            )
+            return None
+        card, base = cards[of.climate]
+        return Input(label, of, what, "1", None, 0.0, (of.climate, card, base))
+    try:
+        for part in (*(what.shift or ()), *(what.turn or ())):
+            if not free.places(scene, part):
+                raise ValueError(f"{part} has no place that could move; name rollers or guides")
+        values = [diffeed.get(scene, p) for p in what.paths]
+        for path, value in zip(what.paths, values, strict=True):
+            diffeed.unit(scene, path)
+            if np.ndim(value) or isinstance(value, str) or value is None:
+                raise ValueError(f"path must name one number, but {path} holds {shown(value)}")
+        unit = free.unit_text(scene, what)
+    except ValueError as error:
+        problems.append(f"{where}: {error}")
+        return None
+    nominal = float(values[0]) if values else 0.0
+    share = of.relative or of.kind == "log_normal"
+    if share and nominal == 0.0:
+        problems.append(f"{where}: a share of a number that is 0 is always 0; give the tolerance in {unit}")
+    return Input(label, of, what, "1" if share else unit, column, nominal, None)
+
+
+def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.ndarray | None:
+    path = folder / str(of.file)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = csv.DictReader(stream)
+            known = rows.fieldnames or []
+            if of.column not in known:
+                problems.append(f'{where}.column: {path} has no column "{of.column}"{hint(of.column, known)}')
+                return None
+            values = np.array([float(row[of.column]) for row in rows])
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        problems.append(f"{where}.file: {path} cannot be read as a table of numbers: {error}")
+        return None
+    if len(values) < 2 or not np.isfinite(values).all():
+        problems.append(f"{where}.file: {path} must hold at least two finite values, but holds {len(values)}")
+        return None
+    return np.sort(values)
+
+
+# --- samples ------------------------------------------------------------------------------------------------------------
+
+
+def groups(inputs: tuple[Input, ...]) -> list[str]:
+    """Names of the groups that are drawn together; each takes one more uniform number."""
+    return sorted({i.of.group for i in inputs if i.of.group})
+
+
+def uniforms(inputs: tuple[Input, ...], sampling: str, samples: int, seed: int) -> np.ndarray:
+    """(samples, inputs + groups) in (0, 1). Rows do not depend on how many there are, but for latin_hypercube."""
+    d = len(inputs) + len(groups(inputs))
+    if sampling == "sobol":
+        drawn = stats.qmc.Sobol(d, rng=seed).random_base2(max(0, int(np.ceil(np.log2(samples)))))[:samples]
+    elif sampling == "latin_hypercube":
+        drawn = stats.qmc.LatinHypercube(d, rng=seed).random(samples)
+    else:
+        drawn = np.stack([_plain(seed, i, d) for i in range(samples)])
+    return np.clip(drawn, EDGE, 1.0 - EDGE)
+
+
+def _plain(seed: int, sample: int, d: int) -> np.ndarray:
+    """Numbers of one sample from its own stream of a counter-based generator."""
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, sample])).random(d)
+
+
+def deviates(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
+    """(samples, inputs + groups) -> (samples, inputs) uniform numbers, correlated within groups (a Gaussian copula)."""
+    own = u[:, : len(inputs)].copy()
+    shared = {name: stats.norm.ppf(u[:, len(inputs) + k]) for k, name in enumerate(groups(inputs))}
+    for k, given in enumerate(inputs):
+        if given.of.group:
+            rho = given.of.correlation
+            z = np.sqrt(rho) * shared[given.of.group] + np.sqrt(1.0 - rho) * stats.norm.ppf(own[:, k])
+            own[:, k] = np.clip(stats.norm.cdf(z), EDGE, 1.0 - EDGE)
+    return own
+
+
+def epsilons(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
+    """(samples, inputs) standard deviates: value = nominal + offset + scale * epsilon. NaN for measured values."""
+    found = deviates(inputs, u)
+    for k, given in enumerate(inputs):
+        found[:, k] = np.nan if given.column is not None else _deviate(given).ppf(found[:, k])
+    return found
+
+
+def deviations(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
+    """(samples, inputs) what is added to the nominal values, in each input's unit."""
+    found = deviates(inputs, u)
+    for k, given in enumerate(inputs):
+        if given.column is not None:
+            found[:, k] = np.quantile(given.column, found[:, k]) - given.nominal
+        else:
+            found[:, k] = given.of.offset + given.scale * _deviate(given).ppf(found[:, k])
+    return found

@@ -1,0 +1,161 @@
+"""The folder of a tolerance study: what it belongs to, and one line of `samples.csv` for each sample that was run.
+
+Lines are appended chunk by chunk; a kill leaves at most one broken line at the end, which resuming cuts off. Numbers are
+written so that they read back as the same bits.
+"""
+
+import csv
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffeed import measures
+from optimize.tolerance.problem import ToleranceProblem
+from optimize.tolerance.run import Rows, joined
+
+MARK = "study.json"
+FIXED = ("sample", "status", "reason", "time")
+
+
+class FolderError(Exception):
+    """The folder cannot be used as asked."""
+
+
+class Folder:
+    """Writes and reads the rows of one study. `name`: which of its tables (samples, or the runs of the Sobol indices)."""
+
+    def __init__(self, place: Path, problem: ToleranceProblem, name: str = "samples") -> None:
+        self.place, self.problem = place, problem
+        self.table = place / f"{name}.csv"
+        self._stream: Any = None
+
+    @property
+    def columns(self) -> list[str]:
+        asked = [f"measure {a.name}" for a in self.problem.measures] + [f"limit {a.name}" for a in self.problem.limits]
+        broken = [f"broken {a.name}" for a in self.problem.limits]
+        return [*FIXED, *asked, *broken, *(f"off {i.name}" for i in self.problem.inputs)]
+
+    def start(self, resume: bool, force: bool) -> Rows | None:
+        """What is there already; the table is then open for more."""
+        mark = self.place / MARK
+        try:
+            if resume or (self.table.name != "samples.csv" and not force):
+                self._same_study(mark, resume)
+            elif mark.exists() and not force:
+                raise FolderError(
+                    f"{self.place} already holds a study; add --resume to go on with it, --force to replace it, or name "
+                    "another folder"
+                )
+            else:
+                if self.place.exists() and not mark.exists() and any(self.place.iterdir()):
+                    raise FolderError(f"{self.place} holds other files; name an empty folder or a new one")
+                self.place.mkdir(parents=True, exist_ok=True)
+                for old in [*self.place.glob("*.csv"), self.place / "result.json"]:
+                    old.unlink(missing_ok=True)
+                mark.write_text(
+                    json.dumps({"study": self.problem.key, "title": self.problem.study.title}) + "\n", "utf-8"
+                )
+            kept, done = self._read() if self.table.exists() else ("", None)
+            if done is None:
+                kept = _line(self.columns)
+            draft = self.table.with_name(f".{self.table.name}.part")
+            draft.write_text(kept, "utf-8", newline="")
+            os.replace(draft, self.table)
+            self._stream = self.table.open("a", encoding="utf-8", newline="")
+            _lock(self._stream, self.place)
+        except OSError as error:
+            raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
+        return done
+
+    def add(self, rows: Rows) -> None:
+        try:
+            self._stream.write("".join(_line(self._words(rows, k)) for k in range(len(rows.sample))))
+            self._stream.flush()
+        except OSError as error:
+            raise FolderError(
+                f"results could not be written to {self.place}: {error.strerror or error}; what was written before is kept, "
+                "--resume goes on from there"
+            ) from error
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def sort(self, rows: Rows) -> None:
+        """The whole table again, in the order of the samples: workers finish in any order."""
+        self.close()
+        draft = self.table.with_name(f".{self.table.name}.part")
+        lines = (_line(self._words(rows, k)) for k in range(len(rows.sample)))
+        try:
+            draft.write_text(_line(self.columns) + "".join(lines), "utf-8", newline="")
+            os.replace(draft, self.table)
+        except OSError as error:
+            raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
+
+    def _words(self, rows: Rows, k: int) -> list[str]:
+        head = [str(int(rows.sample[k])), measures.STATUSES[int(rows.status[k])], str(int(rows.reason[k]))]
+        numbers = [rows.time[k], *rows.values[k]]
+        broken = ["1" if b else "0" for b in rows.broken[k]]
+        return [*head, *(repr(float(v)) for v in numbers), *broken, *(repr(float(v)) for v in rows.deviation[k])]
+
+    def _same_study(self, mark: Path, resume: bool) -> None:
+        if not mark.exists():
+            raise FolderError(f"{self.place} holds no study to resume")
+        try:
+            owner = json.loads(mark.read_text("utf-8"))["study"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise FolderError(f"{mark} cannot be read: {error}") from error
+        if owner != self.problem.key:
+            raise FolderError(f"{self.place} holds another study; name another folder, or add --force to replace it")
+
+    def _read(self) -> tuple[str, Rows | None]:
+        """The text of the whole lines, and the rows in them."""
+        text = self.table.read_text("utf-8")
+        whole = text[: text.rfind("\n") + 1]
+        lines = list(csv.reader(io.StringIO(whole)))
+        if not lines:
+            return "", None
+        if lines[0] != self.columns:
+            raise FolderError(f"{self.table} does not start with the headings of this study; add --force to begin anew")
+        found = []
+        for number, words in enumerate(lines[1:], start=2):
+            try:
+                found.append(self._row(words))
+            except (ValueError, IndexError) as error:
+                raise FolderError(f"{self.table}, line {number} cannot be read: {error}") from error
+        return whole, joined(found) if found else None
+
+    def _row(self, words: list[str]) -> Rows:
+        if len(words) != len(self.columns):
+            raise ValueError(f"{len(words)} entries where {len(self.columns)} belong")
+        n, m = len(self.problem.asked), len(self.problem.limits)
+        numbers = np.array([float(w) for w in words[3:]])
+        cut = [1, 1 + n, 1 + n + m]
+        time, values, broken, deviation = np.split(numbers, cut)
+        status = measures.STATUSES.index(words[1])
+        return Rows(
+            np.array([int(words[0])]), deviation[None], np.array([status]), np.array([int(words[2])]), time, values[None],
+            broken[None] > 0,
+        )  # fmt: skip
+
+
+def _line(words: list[str]) -> str:
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerow(words)
+    return stream.getvalue()
+
+
+def _lock(stream: Any, place: Path) -> None:
+    """Two studies must not write into one folder; the lock goes with the process."""
+    try:
+        import fcntl
+    except ImportError:  # not on this system
+        return
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise FolderError(f"{place} is being written by another run") from None

@@ -1,0 +1,61 @@
+"""The media latitude: which sheets pass, over two quantities, and by what margin."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import diffeed
+from diffeed import measures
+from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
+from optimize.tolerance.records import Axis
+from optimize.tolerance.run import TOGETHER, run_of
+
+
+class Map(NamedTuple):
+    """What was found over x (nx,) and y (ny,)."""
+
+    x: np.ndarray
+    y: np.ndarray
+    margin: np.ndarray  # (ny, nx) jam margin; NaN where the run failed
+    passed: np.ndarray  # (ny, nx) bool: the verdict
+    labels: tuple[str, str]
+    nominal: tuple[float, float]
+
+
+def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> Map:
+    """Run the scene of a study (or another of the same parts) over the two axes of its latitude, in one compiled call."""
+    asked = problem.study.latitude
+    if asked is None:
+        raise ValueError("the study has no [latitude.x] and [latitude.y]")
+    scene = problem.scene if scene is None else scene
+    x, y = (np.linspace(*axis.range, axis.points) for axis in (asked.x, asked.y))
+    rest = rest_of(problem)
+
+    def at(point: Array) -> tuple[Array, Array]:
+        moved = at_axis(problem, at_axis(problem, scene, asked.x, point[0]), asked.y, point[1])
+        run = run_of(problem, moved, rest, ("feed", "spans"))
+        margin = jnp.where(run.ok, measures.jam_margin(moved, run), jnp.nan)
+        return margin, measures.outcome(moved, run).status == 0
+
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    margin, passed = jax.jit(lambda points: jax.lax.map(at, points, batch_size=TOGETHER))(jnp.asarray(grid))
+    shape = (len(y), len(x))
+    labels = (_label(problem, asked.x), _label(problem, asked.y))
+    nominal = (_nominal(problem, asked.x), _nominal(problem, asked.y))
+    return Map(x, y, np.asarray(margin).reshape(shape), np.asarray(passed).reshape(shape), labels, nominal)
+
+
+def _label(problem: ToleranceProblem, axis: Axis) -> str:
+    if axis.climate is not None:
+        return f"climate of {axis.climate}: dry -1, normal 0, humid 1"
+    unit = diffeed.unit(problem.scene, axis.paths[0])
+    return f"{axis.paths[0]}, {unit}" if unit != "1" else axis.paths[0]
+
+
+def _nominal(problem: ToleranceProblem, axis: Axis) -> float:
+    if axis.climate is not None:
+        return problem.cards[axis.climate][1]
+    return float(diffeed.get(problem.scene, axis.paths[0]))

@@ -1,0 +1,177 @@
+"""A TOLERANCE study made ready: scene, inputs, measures and limits looked up and checked, and how a sample becomes a scene."""
+
+import functools
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from pydantic import ValidationError
+
+import diffeed
+from diffeed.names import nearest
+from optimize import variables as free
+from optimize.asked import Asked, StudyError, changed, resolved
+from optimize.study import Limit, Measured
+from optimize.study_file import read_table, sentence
+from optimize.tolerance import media
+from optimize.tolerance.draws import Input, inputs_of
+from optimize.tolerance.records import Axis, Latitude, Tolerance, ToleranceStudy
+
+RECORDS = {
+    "tolerances": Tolerance, "measures": Measured, "limits": Limit, "latitude": Latitude, "x": Axis, "y": Axis,
+}  # fmt: skip
+"""Records by the section that holds them, for messages."""
+
+
+@dataclass(frozen=True)
+class ToleranceProblem:
+    """A checked study. `scene`: normalised, with the media of the study in it."""
+
+    study: ToleranceStudy
+    scene: diffeed.Scene
+    inputs: tuple[Input, ...]
+    measures: tuple[Asked, ...]
+    limits: tuple[Asked, ...]
+    cards: dict[str, tuple[media.Card, float]]
+
+    @property
+    def asked(self) -> tuple[Asked, ...]:
+        """Measures, then limits: the columns of what is recorded."""
+        return (*self.measures, *self.limits)
+
+    @property
+    def observe(self) -> tuple[str, ...]:
+        return tuple(sorted({o for a in self.asked for o in a.term.observe}))
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Equal for problems whose sample i is the same. The number of samples counts only where the draws depend on it."""
+        left_out = {"title", "latitude", "scene"} | ({"samples"} if self.study.sampling != "latin_hypercube" else set())
+        study = self.study.model_dump(mode="json", exclude=left_out)
+        for tolerance in study["tolerances"].values():
+            tolerance.pop("cost")
+        columns = [i.column.tolist() for i in self.inputs if i.column is not None]
+        text = json.dumps([study, columns, diffeed.scene_text(self.scene)], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_tolerance(name_or_path: str | os.PathLike[str], **changes: Any) -> ToleranceProblem:
+    """The problem of a shipped study's name or of a TOML file, with some of its fields changed; StudyError lists
+    everything that is wrong with it. Relative paths of scene and data count from the study file."""
+    where = os.fspath(name_or_path)
+    table, folder = read_table(where)
+    if "variables" in table and "tolerances" not in table:
+        raise StudyError(["this is a study for a design search (it has variables, no tolerances)"], where)
+    return make_tolerance(table | changes, where, folder)
+
+
+def make_tolerance(
+    table: dict[str, Any], where: str = "study", folder: Path | None = None, scene: diffeed.Scene | None = None
+) -> ToleranceProblem:
+    """A problem from a table of plain values. `scene` replaces the one that the study names, media and all."""
+    try:
+        study = ToleranceStudy.model_validate(table)
+    except ValidationError as error:
+        raise StudyError([sentence(e, RECORDS, ToleranceStudy) for e in error.errors()], where) from None
+    problems: list[str] = []
+    try:
+        base = diffeed.load_scene(study.scene) if scene is None else scene
+    except diffeed.SceneError as error:
+        raise StudyError([f"scene: {p}" for p in error.problems], where) from None
+    base = changed(base, study.set, "set", problems)
+    inputs, cards = inputs_of(study, base, folder or Path(), problems)
+    for sheet, (card, climate) in cards.items():
+        base = media.apply(base, sheet, card, climate) if scene is None else base
+    measures = [resolved("measures", n, m, base, problems) for n, m in study.measures.items()]
+    limits = [resolved("limits", n, m, base, problems) for n, m in study.limits.items()]
+    if study.latitude is not None:
+        for name in ("x", "y"):
+            problems += _axis_problems(f"latitude.{name}", getattr(study.latitude, name), base, cards)
+    if study.method not in diffeed.METHODS:
+        known = ", ".join(diffeed.METHODS)
+        problems.append(
+            f'method must be one of {known}, but is "{study.method}"{nearest(study.method, diffeed.METHODS)}'
+        )
+    if not problems:
+        problems += diffeed.check(base, dt=study.dt, method=study.method)
+    if problems:
+        raise StudyError(problems, where)
+    kept = (tuple(filter(None, measures)), tuple(filter(None, limits)))
+    return ToleranceProblem(study, base, inputs, *kept, cards)
+
+
+def _axis_problems(where: str, axis: Axis, scene: diffeed.Scene, cards: dict[str, Any]) -> list[str]:
+    if axis.climate is not None:
+        return (
+            []
+            if axis.climate in cards
+            else [f'{where}.climate needs a card: media.{axis.climate} = "copy_paper_80", say']
+        )
+    found = []
+    for path in axis.paths:
+        try:
+            diffeed.unit(scene, path)
+        except ValueError as error:
+            found.append(f"{where}: {error}")
+    return found
+
+
+def packed(problem: ToleranceProblem) -> dict[str, Any]:
+    """Plain values from which `unpacked` makes the same problem on another machine: files are left behind."""
+    table = problem.study.model_dump(mode="json", exclude_none=True)
+    for name in table["tolerances"]:
+        if table["tolerances"][name]["kind"] == "data":  # deviations are drawn at home
+            table["tolerances"][name] = {"path": table["tolerances"][name]["path"], "sigma": 1.0}
+    return {"study": table, "scene": diffeed.scene_text(problem.scene)}
+
+
+def unpacked(table: dict[str, Any]) -> ToleranceProblem:
+    """The problem that was packed."""
+    return make_tolerance(table["study"], scene=diffeed.read_scene(table["scene"]))
+
+
+def sampled(problem: ToleranceProblem, scene: diffeed.Scene, deviation: Array) -> diffeed.Scene:
+    """The scene with every input off by its deviation, (inputs,), which may be traced."""
+    for given, by in zip(problem.inputs, deviation, strict=True):
+        scene = _moved(scene, given, by)
+    return scene
+
+
+def _moved(scene: diffeed.Scene, given: Input, by: Array) -> diffeed.Scene:
+    if given.climate is not None:
+        sheet, card, base = given.climate
+        return media.move_climate(scene, sheet, card, base + by)
+    for path in given.what.paths:
+        old = diffeed.get(scene, path)
+        share = jnp.exp(by) if given.of.kind == "log_normal" else 1.0 + by
+        scene = diffeed.put(scene, path, old * share if given.share else old + by)
+    for part in given.what.shift or ():
+        scene = free.shifted(scene, part, given.what.direction, by)
+    for part in given.what.turn or ():
+        scene = free.turned(scene, part, given.what.about, by)
+    return scene
+
+
+def at_axis(problem: ToleranceProblem, scene: diffeed.Scene, axis: Axis, value: Array) -> diffeed.Scene:
+    """The scene with the numbers of a latitude's axis at a value."""
+    if axis.climate is not None:
+        return media.move_climate(scene, axis.climate, problem.cards[axis.climate][0], value)
+    for path in axis.paths:
+        scene = diffeed.put(scene, path, value)
+    return scene
+
+
+def is_settled(scene: diffeed.Scene) -> bool:
+    """Whether runs of a scene start from rest."""
+    return scene.initial == "settled"
+
+
+def rest_of(problem: ToleranceProblem) -> Any:
+    """The rest state of the nominal scene: samples begin their own search for rest there. None if none is wanted."""
+    return jax.block_until_ready(diffeed.settle(problem.scene)) if is_settled(problem.scene) else None

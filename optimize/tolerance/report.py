@@ -1,0 +1,163 @@
+"""What a tolerance study gives its user: tables on the screen, and pictures and numbers beside its rows."""
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diffeed import plot_style
+from diffeed.terminal import plain_table
+from optimize.tolerance import charts
+from optimize.tolerance.latitude import Map
+from optimize.tolerance.problem import ToleranceProblem
+from optimize.tolerance.run import Rows
+from optimize.tolerance.statistics import convergence
+from optimize.tolerance.summary import TIGHTER, limits_of
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+RESULT = "result.json"
+NAMES = {"first order": "gradient, first order", "regression": "Monte-Carlo regression", "sobol total": "Sobol total"}
+"""Shares of the variance as the pictures and tables call them."""
+MOST = 12
+"""Inputs in a table on the screen."""
+
+
+def print_summary(console: "Console", summary: dict[str, Any], before: dict[str, Any] | None = None) -> None:
+    """Ways to fail, measures, what is to blame, what to tighten."""
+    console.print(
+        f"{summary['title'] or 'tolerance study'}: {summary['samples']} samples, {summary['sampling']}\n", style="bold"
+    )
+    table = plain_table(
+        "does not pass", "samples", "share", "95 % interval", *(["before"] if before else []), "for example"
+    )
+    for name, way in summary["fails"].items():
+        was = [_percent(before["fails"][name]["value"]) if name in before["fails"] else "-"] if before else []
+        some = ", ".join(map(str, way["samples"]))
+        interval = f"{_percent(way['low'])} to {_percent(way['high'])}"
+        table.add_row(name, str(way["count"]), _percent(way["value"]), interval, *was, some)
+    console.print(table)
+    console.print()
+    table = plain_table("measure", "unit", "mean", "std", "1 %", "50 %", "99 %", "Cp", "Cpk", words=("unit",))
+    for name, m in summary["measures"].items():
+        if m["runs"]:
+            shares = [_text(m["percentiles"][p]["value"]) for p in ("1", "50", "99")]
+            table.add_row(
+                name, m["unit"], _text(m["mean"]), _text(m["std"]), *shares, _text(m.get("cp")), _text(m.get("cpk"))
+            )
+    console.print(table)
+    for name, blame in summary["contributions"].items():
+        _print_blame(console, name, blame, list(summary["inputs"]))
+    _print_tighten(console, summary["tighten"])
+
+
+def _print_blame(console: "Console", name: str, blame: dict[str, Any], inputs: list[str]) -> None:
+    known = {words: blame[key] for key, words in NAMES.items() if blame.get(key) is not None}
+    if not known or all(v is None for v in next(iter(known.values()))):
+        return
+    console.print()
+    table = plain_table(f"share of the variance of {name}", *known)
+    first = np.array([v or 0.0 for v in next(reversed(known.values()))])
+    for k in np.argsort(-first)[:MOST]:
+        table.add_row(inputs[k], *(_percent(v[k]) for v in known.values()))
+    console.print(table)
+    console.print(
+        f"a straight line explains {_percent(blame['explained'])} of the variance (std {_text(blame['std'])})"
+    )
+    if blame.get("first order std") is not None and blame["std"]:
+        ratio = blame["first order std"] / blame["std"]
+        verdict = "they agree" if 0.8 < ratio < 1.25 else "they part: do not trust the slopes at the nominal scene here"
+        console.print(
+            f"std from gradients at the nominal scene: {_text(blame['first order std'])}, {ratio:.2f} of it: {verdict}"
+        )
+
+
+def _print_tighten(console: "Console", found: dict[str, Any]) -> None:
+    priced = any("cost" in v for v in found.values())
+    table = plain_table(
+        f"tolerance made {100 * TIGHTER:g} % tighter",
+        "more pass",
+        "error",
+        *(["cost", "gain per cost"] if priced else []),
+    )
+    by = "gain per cost" if priced else "gain"
+    order = sorted(found.items(), key=lambda item: -np.inf if item[1].get(by) is None else item[1][by], reverse=True)
+    for name, v in order:
+        extra = [_text(v.get("cost")), _points(v.get("gain per cost"))] if priced else []
+        table.add_row(name, _points(v["gain"]), _points(v["error"]), *extra)
+    console.print()
+    console.print(table)
+    console.print("in percentage points; a gain within twice its error may be none: such a tolerance may be relaxed")
+
+
+def write_result(
+    folder: Path,
+    problem: ToleranceProblem,
+    rows: Rows,
+    summary: dict[str, Any],
+    pictures: bool,
+    before: Rows | None = None,
+) -> list[str]:
+    """Pictures, and last the summary: a folder that holds `result.json` is complete. OSError where it cannot be written."""
+    names = _pictures(folder, problem, rows, summary, before) if pictures else []
+    draft = folder / f".{RESULT}.part"
+    draft.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", "utf-8")
+    os.replace(draft, folder / RESULT)
+    return [*names, RESULT]
+
+
+def _pictures(
+    folder: Path, problem: ToleranceProblem, rows: Rows, summary: dict[str, Any], before: Rows | None
+) -> list[str]:
+    made: dict[str, Any] = {"convergence.png": lambda: charts.convergence(*convergence(~rows.passed))}
+    inputs = [i.name for i in problem.inputs]
+    for k, asked in enumerate(problem.asked):
+        label = f"{asked.name}, {asked.term.unit}" if asked.term.unit != "1" else asked.name
+        was = before.values[:, k] if before is not None else None
+        values, limits = rows.values[:, k], limits_of(asked)
+        made[f"{asked.name}_histogram.png"] = lambda v=values, t=label, e=limits, w=was: charts.histogram(
+            v, t, e, before=w
+        )
+        made[f"{asked.name}_distribution.png"] = lambda v=values, t=label, e=limits, w=was: charts.distribution(
+            v, t, e, before=w
+        )
+        blame = summary["contributions"][asked.name]
+        shares = {
+            words: np.array([np.nan if v is None else v for v in blame[key]])
+            for key, words in NAMES.items()
+            if blame.get(key) is not None and any(v is not None for v in blame[key])
+        }
+        if shares and len(values) > 1:
+            made[f"{asked.name}_contributions.png"] = lambda s=shares: charts.contributions(inputs, s)
+    tighter = {n: v for n, v in summary["tighten"].items() if v["gain"] is not None and v["error"] is not None}
+    if tighter:
+        gain, error = (np.array([v[key] for v in tighter.values()]) / TIGHTER for key in ("gain", "error"))
+        made["tighten.png"] = lambda: charts.yield_slopes(list(tighter), -gain, error)
+    for name, draw in made.items():
+        plot_style.save(folder / name, draw)
+    return list(made)
+
+
+def write_latitude(folder: Path, found: Map, name: str = "latitude.png") -> str:
+    """The picture of a latitude."""
+    folder.mkdir(parents=True, exist_ok=True)
+    plot_style.save(
+        folder / name,
+        lambda: charts.latitude(found.x, found.y, found.margin, found.passed, *found.labels, nominal=found.nominal),
+    )
+    return name
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100.0 * value:.3g} %"
+
+
+def _points(value: float | None) -> str:
+    return "-" if value is None else f"{100.0 * value:+.2g}"
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -1,0 +1,274 @@
+"""What a sample of runs says: proportions, percentiles, capability, and which input the scatter comes from.
+
+n runs, d inputs. Every estimate carries its own uncertainty; intervals are two-sided at `level`.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+EDGE = 0.1
+"""How much of a uniform input's range, at each end and of the half width, stands for its edge in `yield_slope`."""
+COUNTS = 40
+"""Points of a convergence curve."""
+BITS = 30
+"""Binary digits of a Sobol point."""
+
+
+class Proportion(NamedTuple):
+    value: float
+    low: float
+    high: float
+
+
+class Estimate(NamedTuple):
+    value: float
+    low: float
+    high: float
+
+
+class Capability(NamedTuple):
+    """None where the limits that it needs are not given."""
+
+    cp: float | None
+    cpk: float | None
+
+
+class Convergence(NamedTuple):
+    """(m,) each: over the first `counts` runs."""
+
+    counts: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Shares(NamedTuple):
+    """`shares` (d,) of the variance; `explained`: R^2 of the fit."""
+
+    shares: np.ndarray
+    explained: float
+
+
+class Variance(NamedTuple):
+    """`variance` in the measure's unit squared, `shares` (d,) of it."""
+
+    variance: float
+    shares: np.ndarray
+
+
+class DerivativeMeasure(NamedTuple):
+    """(d,) each: `value` in the measure's unit squared, `shares` of the sum of the values."""
+
+    value: np.ndarray
+    shares: np.ndarray
+
+
+class Indices(NamedTuple):
+    """(d,) each, as a share of the variance."""
+
+    first: np.ndarray
+    first_low: np.ndarray
+    first_high: np.ndarray
+    total: np.ndarray
+    total_low: np.ndarray
+    total_high: np.ndarray
+
+
+class Sample(NamedTuple):
+    """Uniforms in (0, 1): `a` and `b` (n, d), `ab` (d, n, d)."""
+
+    a: np.ndarray
+    b: np.ndarray
+    ab: np.ndarray
+
+
+class Slope(NamedTuple):
+    """`error`: standard error. Both per unit of the scale."""
+
+    value: float
+    error: float
+
+
+def proportion(failures: int, runs: int, level: float = 0.95) -> Proportion:
+    """Failures over runs, with the exact interval of Clopper and Pearson (1934); nan in [0, 1] without runs.
+
+    ValueError for more failures than runs.
+    """
+    if runs == 0:
+        return Proportion(math.nan, 0.0, 1.0)
+    interval = stats.binomtest(failures, runs).proportion_ci(level, method="exact")
+    return Proportion(failures / runs, float(interval.low), float(interval.high))
+
+
+def percentile(values: Any, share: float, level: float = 0.95) -> Estimate:
+    """The value below which `share` (0 to 1, exclusive) of the population lies; values (n,), infinite ones included.
+
+    The interval lies between order statistics, exact whatever the distribution (Thompson 1936); an end for which there
+    are too few values is infinite. ValueError for no values, NaN among them, or a share out of range.
+    """
+    values = np.asarray(values, dtype=float)
+    if values.size == 0 or np.isnan(values).any():
+        raise ValueError("a percentile needs at least one value, and no NaN")
+    with np.errstate(invalid="ignore"):
+        value = np.quantile(values, share)
+    if np.isnan(value):  # inf - inf, at one of the values or between two infinite ones: nothing to interpolate
+        value = np.quantile(values, share, method="nearest")
+    low, high = stats.quantile_test(values, p=share).confidence_interval(level)
+    return Estimate(
+        float(value), -math.inf if np.isnan(low) else float(low), math.inf if np.isnan(high) else float(high)
+    )
+
+
+def capability(values: Any, low: float | None, high: float | None) -> Capability:
+    """Process capability (Kane 1986) of values (n,): Cp = (high - low)/(6 s); Cpk = the nearer limit's distance from
+    the mean over 3 s.
+
+    nan for fewer than two values or any that is not finite; infinite for values that are all the same.
+    """
+    values = np.asarray(values, dtype=float)
+    known = values.size > 1 and bool(np.isfinite(values).all())
+    mean, deviation = (values.mean(), values.std(ddof=1)) if known else (math.nan, math.nan)
+    if known and np.ptp(values) == 0.0:
+        mean, deviation = values[0], 0.0  # not what rounding makes of it
+    room = [high - mean] if high is not None else []
+    room += [mean - low] if low is not None else []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cp = float(np.divide(high - low, 6.0 * deviation)) if low is not None and high is not None else None
+        cpk = float(np.divide(min(room), 3.0 * deviation)) if room else None
+    return Capability(cp, cpk)
+
+
+def convergence(failed: Any, level: float = 0.95) -> Convergence:
+    """The proportion that failed (n,) over the first runs, at about `COUNTS` logarithmically spaced counts up to n."""
+    total = np.cumsum(np.asarray(failed, dtype=bool))
+    if total.size == 0:
+        return Convergence(np.zeros(0, int), *np.zeros((3, 0)))
+    counts = np.unique(np.round(np.geomspace(1, total.size, COUNTS)).astype(int))
+    return Convergence(counts, *np.array([proportion(int(total[c - 1]), int(c), level) for c in counts]).T)
+
+
+def regression_shares(z: Any, y: Any) -> Shares:
+    """Each input's share of Var(y), z (n, d) and y (n,): the squared standardised coefficients of a linear regression.
+
+    With y = c + b z and independent inputs, Var(y) = sum (b_i s_i)^2 + what the fit leaves over (Saltelli et al. 2008,
+    Global Sensitivity Analysis, 1.2.5). Runs with values that are not finite are left out; nan unless more than d + 1
+    remain; zeros, and R^2 nan, for a constant y.
+    """
+    z, y = np.asarray(z, dtype=float), np.asarray(y, dtype=float)
+    kept = np.isfinite(y) & np.isfinite(z).all(axis=1)
+    z, y = z[kept], y[kept]
+    n, d = z.shape
+    if n <= d + 1:
+        return Shares(np.full(d, math.nan), math.nan)
+    if np.ptp(y) == 0.0:
+        return Shares(np.zeros(d), math.nan)
+    z, y = z - z.mean(axis=0), y - y.mean()
+    spread = np.sqrt(np.mean(z**2, axis=0))
+    z = z / np.where(spread > 0.0, spread, 1.0)  # alike in size, whatever their units; an input that is fixed stays 0
+    slope, *_ = np.linalg.lstsq(z, y)
+    variance = np.mean(y**2)
+    return Shares(slope**2 / variance, float(1.0 - np.mean((y - z @ slope) ** 2) / variance))
+
+
+def linear_shares(gradient: Any, sigma: Any) -> Variance:
+    """First-order variance sum (g_i s_i)^2 from the gradient (d,) and the inputs' deviations (d,), and each one's share;
+    the inputs are independent. Shares are zero where the variance is."""
+    parts = (np.asarray(gradient, dtype=float) * np.asarray(sigma, dtype=float)) ** 2
+    return Variance(float(parts.sum()), _share(parts))
+
+
+def derivative_measure(gradients: Any, sigma: Any) -> DerivativeMeasure:
+    """s_i^2 E[g_i^2] from gradients (n, d) and deviations (d,): the derivative-based global sensitivity measure (Sobol
+    and Kucherenko 2009, Math. Comput. Simul. 79, 3009), over the runs whose gradients are finite; nan without any.
+
+    For normal inputs it bounds the variance in which the input takes part, Var(y) times its total index, from above.
+    """
+    gradients = np.asarray(gradients, dtype=float)
+    gradients = gradients[np.isfinite(gradients).all(axis=1)]
+    if not len(gradients):
+        nothing = np.full(gradients.shape[1], math.nan)
+        return DerivativeMeasure(nothing, nothing)
+    value = np.asarray(sigma, dtype=float) ** 2 * np.mean(gradients**2, axis=0)
+    return DerivativeMeasure(value, _share(value))
+
+
+def _share(parts: np.ndarray) -> np.ndarray:
+    whole = parts.sum()
+    return np.zeros_like(parts) if whole == 0.0 else parts / whole
+
+
+def saltelli(n: int, d: int, seed: int) -> Sample:
+    """Points for `sobol`: two independent halves of a scrambled Sobol sequence, and ab[i] = a with column i from b.
+
+    Saltelli et al. 2010, Comput. Phys. Commun. 181, 259. ValueError unless n is a power of two.
+    """
+    if n < 1 or n & (n - 1):
+        raise ValueError(f"n must be a power of two, for the balance of Sobol points; it is {n}")
+    sequence = stats.qmc.Sobol(2 * d, bits=BITS, rng=seed)
+    # The points are multiples of 2^-BITS, 0 among them, where a normal quantile is infinite: move to the cells' middle.
+    points = sequence.random(n) + 0.5 ** (BITS + 1)
+    a, b = points[:, :d], points[:, d:]
+    ab = np.tile(a, (d, 1, 1))
+    ab[range(d), :, range(d)] = b.T
+    return Sample(a, b, ab)
+
+
+def sobol(f_a: Any, f_b: Any, f_ab: Any, seed: int, level: float = 0.95) -> Indices:
+    """First and total Sobol indices from the measure at `saltelli`'s points: f_a and f_b (n,), f_ab (d, n).
+
+    Intervals from resampling the n points; they take the points as independent, and so are wide for a smooth measure.
+    nan if any value is not finite, zeros for a constant measure; ValueError for other shapes.
+    """
+    f_a, f_b, f_ab = (np.asarray(f, dtype=float) for f in (f_a, f_b, f_ab))
+    d, n = f_ab.shape
+    if f_a.shape != (n,) or f_b.shape != (n,):
+        raise ValueError(f"f_a and f_b must be ({n},) as f_ab is {f_ab.shape}; they are {f_a.shape} and {f_b.shape}")
+    if not all(np.isfinite(f).all() for f in (f_a, f_b, f_ab)):
+        return Indices(*np.full((6, d), math.nan))
+    pages = f_ab if d > 1 else np.repeat(f_ab, 2, axis=0)  # SciPy cannot take a single input: give it twice
+
+    def both(drawn: np.ndarray, axis: int = -1) -> np.ndarray:  # (..., n) points -> (2, d, ...)
+        rows = np.atleast_2d(drawn)
+        found = stats.sobol_indices(func={"f_A": f_a[rows], "f_B": f_b[rows], "f_AB": pages[:, rows]}, n=n)
+        indices = np.stack([found.first_order.T, found.total_order.T])[:, :d]
+        return indices.reshape(2, d, *drawn.shape[:-1])
+
+    points = np.arange(n)
+    first, total = both(points)
+    # The result's own `bootstrap` takes no seed; this is the same one, by percentiles.
+    resampled = stats.bootstrap(
+        (points,), both, confidence_level=level, method="percentile", vectorized=True, batch=32, rng=seed
+    )
+    (first_low, total_low), (first_high, total_high) = resampled.confidence_interval
+    return Indices(first, first_low, first_high, total, total_low, total_high)
+
+
+def yield_slope(passed: Any, epsilon: Any, family: str, scale: float) -> Slope:
+    """d P(pass)/d scale from the same runs, passed (n,) at epsilon (n,), for an input x = nominal + scale epsilon.
+
+    "normal" (scale: sigma): the density of x is phi(eps)/s and d log(phi(eps)/s)/ds = (eps^2 - 1)/s, so that
+    dP/ds = E[h (eps^2 - 1)]/s, h = 1 for a pass; as E[eps^2 - 1] = 0, h - E[h] serves as well and scatters less.
+    "uniform" (scale: half width, |eps| <= 1): P = (1/2s) int_-s^s h dt, so dP/ds = (-E[h] + (E[h|1] + E[h|-1])/2)/s,
+    with the edges' values from |eps| > 1 - EDGE (a bias, not in `error`, if h changes there), and E[h] as the mean of the
+    edges and the middle M, weighted by their known probabilities: (1 - EDGE) ((E[h|1] + E[h|-1])/2 - E[h|M])/s.
+
+    nan for other families, and for too few runs (two; for "uniform", at either edge and in the middle). If all passed or
+    all failed, both are 0: such runs show no slope, which does not prove that there is none.
+    """
+    h, eps = np.asarray(passed, dtype=float), np.asarray(epsilon, dtype=float)
+    if not scale > 0.0:
+        return Slope(math.nan, math.nan)
+    if family == "normal" and h.size > 1:
+        terms = (h - h.mean()) * (eps**2 - 1.0) / scale
+        return Slope(float(terms.mean()), float(stats.sem(terms)))
+    if family == "uniform":
+        left, right = eps < EDGE - 1.0, eps > 1.0 - EDGE
+        bands = [h[left], h[right], h[~left & ~right]]
+        if min(band.size for band in bands) > 1:
+            weights = np.array([0.5, 0.5, -1.0]) * (1.0 - EDGE) / scale
+            means, errors = np.array([(band.mean(), stats.sem(band)) for band in bands]).T
+            return Slope(float(weights @ means), float(np.linalg.norm(weights * errors)))
+    return Slope(math.nan, math.nan)
