@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from diffeed.terminal import SETTINGS, Refusal, console, refusing
+from optimize.tolerance.cli import latitude, tolerance
 
 STUDY = click.argument("study")
 FUSE = click.option(
@@ -23,6 +24,10 @@ def main() -> None:
 
     A STUDY is the name of a shipped study or a TOML file: a scene, what may change, what is wanted, what must hold.
     """
+
+
+main.add_command(tolerance)
+main.add_command(latitude)
 
 
 @main.command(context_settings=SETTINGS)
@@ -117,10 +122,20 @@ def compare(study: str, fuse: bool, out: Path | None, budget: int) -> None:
 @main.command(context_settings=SETTINGS)
 def studies() -> None:
     """List the studies that come with the package."""
-    from optimize.study_file import load_study, shipped_studies
+    from optimize.study_file import read_table, shipped_studies
 
     for name in sorted(shipped_studies()):
-        click.echo(f"{name}\n  {load_study(name).title}")
+        table, _ = read_table(name)
+        kind = "tolerance" if "tolerances" in table and "variables" not in table else "design"
+        click.echo(f"{name} ({kind})\n  {table.get('title', '')}")
+
+
+@main.command(context_settings=SETTINGS)
+def media() -> None:
+    """List the media cards, with the source of each number."""
+    from optimize.tolerance.media import table
+
+    click.echo(table())
 
 
 def _changes(iterations: int | None, seconds: float | None) -> dict[str, Any]:

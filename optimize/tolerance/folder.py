@@ -71,6 +71,10 @@ class Folder:
             raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
         return done
 
+    def rows(self) -> Rows | None:
+        """The rows that are on disk."""
+        return self._read()[1]
+
     def add(self, rows: Rows) -> None:
         try:
             self._stream.write("".join(_line(self._words(rows, k)) for k in range(len(rows.sample))))
@@ -141,6 +145,20 @@ class Folder:
             np.array([int(words[0])]), deviation[None], np.array([status]), np.array([int(words[2])]), time, values[None],
             broken[None] > 0,
         )  # fmt: skip
+
+
+def read_rows(place: Path, problem: ToleranceProblem) -> Rows:
+    """The rows of a finished study of the same inputs and measures, to compare with. Raises FolderError."""
+    folder = Folder(place, problem)
+    if not folder.table.exists():
+        raise FolderError(f"{place} holds no study to compare with")
+    try:
+        rows = folder.rows()
+    except OSError as error:
+        raise FolderError(f"{folder.table} cannot be read: {error.strerror or error}") from error
+    if rows is None:
+        raise FolderError(f"{folder.table} holds no samples")
+    return rows
 
 
 def _line(words: list[str]) -> str:

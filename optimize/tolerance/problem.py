@@ -4,7 +4,7 @@ import functools
 import hashlib
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,10 @@ class ToleranceProblem:
     def observe(self) -> tuple[str, ...]:
         return tuple(sorted({o for a in self.asked for o in a.term.observe}))
 
+    def changed(self, **fields: Any) -> "ToleranceProblem":
+        """The same problem with fields of the study replaced, which must be checked already."""
+        return replace(self, study=self.study.model_copy(update=fields))
+
     @functools.cached_property
     def key(self) -> str:
         """Equal for problems whose sample i is the same. The number of samples counts only where the draws depend on it."""
@@ -74,7 +78,7 @@ def load_tolerance(name_or_path: str | os.PathLike[str], **changes: Any) -> Tole
 def make_tolerance(
     table: dict[str, Any], where: str = "study", folder: Path | None = None, scene: diffeed.Scene | None = None
 ) -> ToleranceProblem:
-    """A problem from a table of plain values. `scene` replaces the one that the study names, media and all."""
+    """A problem from a table of plain values. `scene` replaces the one that the study names."""
     try:
         study = ToleranceStudy.model_validate(table)
     except ValidationError as error:
@@ -87,7 +91,7 @@ def make_tolerance(
     base = changed(base, study.set, "set", problems)
     inputs, cards = inputs_of(study, base, folder or Path(), problems)
     for sheet, (card, climate) in cards.items():
-        base = media.apply(base, sheet, card, climate) if scene is None else base
+        base = media.apply(base, sheet, card, climate)
     measures = [resolved("measures", n, m, base, problems) for n, m in study.measures.items()]
     limits = [resolved("limits", n, m, base, problems) for n, m in study.limits.items()]
     if study.latitude is not None:

@@ -141,14 +141,21 @@ def _pictures(
     return list(made)
 
 
-def write_latitude(folder: Path, found: Map, name: str = "latitude.png") -> str:
-    """The picture of a latitude."""
+def write_latitude(folder: Path, found: Map) -> list[str]:
+    """The picture and the numbers of a latitude."""
     folder.mkdir(parents=True, exist_ok=True)
+    numbers = {
+        "x": {"name": found.labels[0], "values": found.x.tolist()},
+        "y": {"name": found.labels[1], "values": found.y.tolist()},
+        "passed": found.passed.tolist(),
+        "margin": [[float(v) if np.isfinite(v) else None for v in row] for row in found.margin],
+    }
     plot_style.save(
-        folder / name,
+        folder / "latitude.png",
         lambda: charts.latitude(found.x, found.y, found.margin, found.passed, *found.labels, nominal=found.nominal),
     )
-    return name
+    (folder / "latitude.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", "utf-8")
+    return ["latitude.png", "latitude.json"]
 
 
 def _percent(value: float | None) -> str:

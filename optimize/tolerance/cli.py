@@ -1,0 +1,210 @@
+"""The commands `tolerance` and `latitude`. Heavy imports stay inside them: a help text must come at once."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from diffeed.terminal import SETTINGS, Refusal, console, refusing
+
+SCENE = click.option("--scene", help="Another scene of the same parts (an improved one), instead of the study's.")
+
+
+@click.command(context_settings=SETTINGS)
+@click.argument("study")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the samples, the result and the pictures.")
+@click.option("--resume", is_flag=True, help="Go on with the study that stopped in --out.")
+@click.option("--force", is_flag=True, help="Replace a study that is already in --out.")
+@click.option("--samples", type=click.IntRange(1, 10_000_000), help="Instead of the study's.")
+@click.option("--dt", type=click.FloatRange(0, min_open=True), help="Longest step in s, instead of the study's.")
+@SCENE
+@click.option(
+    "--before", type=click.Path(path_type=Path), help="Folder of a finished study of the same draws, to compare with."
+)
+@click.option(
+    "--gradients",
+    type=click.IntRange(0, 4096),
+    default=0,
+    help="Samples at which gradients are taken, for contributions.",
+)
+@click.option("--indices", type=click.IntRange(2, 2**20), help="Runs per input (a power of two) for Sobol indices.")
+@click.option(
+    "--chunk", type=click.IntRange(1, 65536), help="Samples computed at once; chosen from the machine if not given."
+)
+@click.option(
+    "--workers", type=click.IntRange(1, 1024), help="Use so many worker processes of a Dask cluster on this machine."
+)
+@click.option("--scheduler", help="Use the Dask cluster at this address, tcp://host:8786 say.")
+@click.option(
+    "--replay", type=click.IntRange(0), multiple=True, help="Only write the animation of a sample, by its number."
+)
+@click.option("--no-pictures", is_flag=True, help="Write the samples and the numbers only.")
+def tolerance(study: str, **options: Any) -> None:
+    """How often will it fail with the parts as they are really made, and which tolerance is to blame?
+
+    \b
+    Examples:
+      python -m optimize tolerance film_tolerances --samples 256 --out made
+      python -m optimize tolerance film_tolerances --samples 1024 --out made --resume
+      python -m optimize tolerance film_tolerances --out made --replay 117
+    """
+    if options["resume"] and options["out"] is None:
+        raise Refusal("--resume needs --out, the folder of the study")
+    if options["replay"] and options["out"] is None:
+        raise Refusal("--replay needs --out, the folder for the animation")
+    if options["workers"] and options["scheduler"]:
+        raise Refusal("--workers starts a cluster here, --scheduler uses another: give one of them")
+    count = options["indices"]
+    if count and count & (count - 1):
+        raise Refusal(f"--indices must be a power of two, but is {count}")
+    problem = _problem(study, options["scene"], {k: options[k] for k in ("samples", "dt") if options[k] is not None})
+    from optimize.tolerance.cluster import ClusterError
+    from optimize.tolerance.folder import FolderError
+
+    with refusing(ClusterError, FolderError):
+        if options["replay"]:
+            _replay(problem, options["out"], options["replay"])
+        else:
+            _run(problem, **options)
+
+
+@click.command(context_settings=SETTINGS)
+@click.argument("study")
+@SCENE
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="Folder for latitude.png and latitude.json."
+)
+@click.option("--points", type=click.IntRange(2, 201), help="Along each axis, instead of the study's.")
+def latitude(study: str, scene: str | None, out: Path, points: int | None) -> None:
+    """Which sheets pass: a map over two quantities of a study, its [latitude.x] and [latitude.y].
+
+    \b
+    Example:
+      python -m optimize latitude film_tolerances --points 11 --out latitude
+    """
+    problem = _problem(study, scene, {})
+    if problem.study.latitude is None:
+        raise Refusal(f"{study} has no [latitude.x] and [latitude.y]: give each a path and a range")
+    if points:
+        asked = problem.study.latitude
+        axes = {n: getattr(asked, n).model_copy(update={"points": points}) for n in ("x", "y")}
+        problem = problem.changed(latitude=asked.model_copy(update=axes))
+    from optimize.tolerance.latitude import latitude as run
+    from optimize.tolerance.report import write_latitude
+
+    found = run(problem)
+    click.echo(f"{int(found.passed.sum())} of {found.passed.size} sheets pass")
+    with refusing(OSError):
+        click.echo(f"written to {out}: {', '.join(write_latitude(out, found))}")
+
+
+def _problem(where: str, scene: str | None, changes: dict[str, Any]) -> Any:
+    import jax
+
+    from diffeed import tuning
+
+    jax.config.update("jax_enable_x64", True)
+    tuning.compile_quickly()
+    tuning.use_all_cores()
+    if problem := tuning.keep_compilations():
+        click.echo(problem, err=True)
+    from optimize.asked import StudyError
+    from optimize.tolerance.problem import load_tolerance
+
+    with refusing(StudyError):
+        click.echo(f"{where}: checking", err=True)
+        return load_tolerance(where, **changes, **({"scene": scene} if scene else {}))
+
+
+def _run(
+    problem: Any, out: Path | None, resume: bool, force: bool, before: Path | None, gradients: int, indices: int | None,
+    chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool, **_: Any,
+) -> None:  # fmt: skip
+    from optimize.tolerance import contributions
+    from optimize.tolerance.folder import Folder, read_rows
+    from optimize.tolerance.report import print_summary, write_result
+    from optimize.tolerance.study import run_study
+    from optimize.tolerance.summary import summarise
+
+    was = read_rows(before, problem) if before else None
+    with _runner(problem, chunk, workers, scheduler) as runner:
+        with _bar(problem.study.samples, "samples") as show:
+            rows = run_study(problem, runner, out, resume, force, show)
+        found = None
+        if indices:
+            total = indices * (len(problem.inputs) + 2)
+            folder = Folder(out, problem, "indices") if out else None
+            with refusing(ValueError), _bar(total, "runs for indices") as show:
+                found = contributions.indices(problem, indices, runner, folder, resume=resume, show=show)
+    slopes = None
+    if gradients:
+        count = min(gradients, len(rows.sample))
+        click.echo(f"gradients at {count} samples", err=True)
+        slopes = contributions.slopes(problem, rows.deviation[:count])
+    summary = summarise(problem, rows, slopes, found)
+    print_summary(console(), summary, summarise(problem, was) if was else None)
+    if out:
+        with refusing(OSError):
+            names = write_result(out, problem, rows, summary, not no_pictures, was)
+        click.echo(f"written to {out}: samples.csv, {', '.join(names)}")
+
+
+def _replay(problem: Any, out: Path, samples: tuple[int, ...]) -> None:
+    from optimize.tolerance.replay import replay
+
+    for sample in samples:
+        with refusing(ValueError, OSError):
+            path, verdict = replay(problem, sample, out)
+        click.echo(f"sample {sample}: {verdict}\nwritten to {path}")
+
+
+@contextmanager
+def _runner(problem: Any, chunk: int | None, workers: int | None, scheduler: str | None) -> Iterator[Any]:
+    from optimize.tolerance.study import here
+
+    if workers is None and scheduler is None:
+        yield here(problem, chunk)
+        return
+    from optimize.tolerance.cluster import connect, on_cluster
+    from optimize.tolerance.run import TOGETHER
+
+    with connect(scheduler, workers) as client:
+        yield on_cluster(problem, client, chunk or TOGETHER)
+
+
+@contextmanager
+def _bar(total: int, what: str) -> Iterator[Callable[[int, int, int], None]]:
+    """Progress with samples per second and the running share that does not pass; a line now and then where there is no
+    terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optimize.tolerance.statistics import proportion
+
+    screen = console(stderr=True)
+    columns = (TextColumn("{task.fields[told]}"), BarColumn(), TimeRemainingColumn())
+    began, first, last = time.monotonic(), 0, 0.0
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bar:
+        task = bar.add_task("", total=total, told="compiling")
+
+        def show(done: int, failed: int, now: int) -> None:
+            nonlocal began, first, last
+            clock = time.monotonic()
+            rate = ""
+            if first:  # the first chunk compiles
+                rate = f", {(done - first) / (clock - began):.3g} a second"
+            else:
+                began, first = clock, done
+            share = proportion(failed, done)
+            told = (
+                f"{done} of {total} {what}{rate}; {100 * share.value:.3g} % do not pass "
+                f"({100 * share.low:.2g} to {100 * share.high:.2g})"
+            )
+            bar.update(task, completed=done, told=told)
+            if not screen.is_terminal and (clock - last > 30.0 or done == total):
+                screen.print(told, soft_wrap=True)
+                last = clock
+
+        yield show

@@ -1,0 +1,31 @@
+"""A sample again, by its number: as an animation, in the machine with the parts that it drew."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+
+import diffeed
+from diffeed import measures, player
+from optimize.tolerance.draws import deviations, uniforms
+from optimize.tolerance.problem import ToleranceProblem, rest_of, sampled
+from optimize.tolerance.run import run_of
+
+
+def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
+    """The scene of sample i of a study. ValueError for a number that the study does not have."""
+    study = problem.study
+    if not 0 <= sample < study.samples:
+        raise ValueError(f"the study has samples 0 to {study.samples - 1}, but {sample} is asked for")
+    drawn = uniforms(problem.inputs, study.sampling, study.samples, study.seed)[sample : sample + 1]
+    return sampled(problem, problem.scene, jnp.asarray(deviations(problem.inputs, drawn)[0]))
+
+
+def replay(problem: ToleranceProblem, sample: int, folder: Path) -> tuple[Path, str]:
+    """Write `sample_<i>.html` (its animation) and `sample_<i>.toml` (its scene); the path of the first and the verdict."""
+    scene = sample_scene(problem, sample)
+    run = run_of(problem, scene, rest_of(problem))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"sample_{sample}.html"
+    diffeed.save_scene(scene, path.with_suffix(".toml"))
+    player.write_player(path, scene, run)
+    return path, measures.verdict(scene, run).sentence()

@@ -1,0 +1,143 @@
+"""What sample i draws: families, independence, groups, the same numbers whatever the batch; and what is refused."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from stand_in_nip import nip
+
+from optimize.asked import StudyError
+from optimize.tolerance.draws import deviations, epsilons, uniforms
+from optimize.tolerance.problem import make_tolerance, packed, unpacked
+
+PINCH = {"path": "rollers.pinch.preload", "sigma": 0.1}
+BASE = {"scene": "nip", "duration": 0.01, "dt": 2e-4, "frames": 5, "tolerances": {"preload": PINCH}}
+
+
+def problem(**changes):
+    return make_tolerance(BASE | changes, scene=nip())
+
+
+def drawn(study, samples, sampling="plain", seed=0):
+    return deviations(study.inputs, uniforms(study.inputs, sampling, samples, seed))
+
+
+@pytest.mark.parametrize(
+    ("spec", "sigma", "far"),
+    [
+        ({"sigma": 0.1}, 0.1, np.inf),
+        ({"tolerance": 0.3}, 0.1, np.inf),
+        ({"tolerance": 0.3, "sigmas": 2}, 0.15, np.inf),
+        ({"tolerance": 0.3, "kind": "uniform"}, 0.3 / np.sqrt(3), 0.3),
+        ({"sigma": 0.1, "kind": "uniform"}, 0.1, 0.1 * np.sqrt(3)),
+        ({"tolerance": 0.3, "kind": "triangular"}, 0.3 / np.sqrt(6), 0.3),
+        ({"sigma": 0.1, "kind": "log_normal"}, 0.1, np.inf),
+        ({"sigma": 0.1, "limits": [-0.1, 0.2], "kind": "truncated_normal"}, 0.1 * stats.truncnorm.std(-1, 2), 0.2),
+        ({"tolerance": 0.3, "kind": "truncated_normal"}, 0.1 * stats.truncnorm.std(-3, 3), 0.3),
+    ],
+)  # fmt: skip
+def test_each_family_has_its_spread_and_its_ends(spec, sigma, far):
+    study = problem(tolerances={"preload": {"path": "rollers.pinch.preload"} | spec})
+    found = drawn(study, 4096, "sobol")[:, 0]
+    assert study.inputs[0].sigma == pytest.approx(sigma, rel=1e-12)
+    assert np.std(found) == pytest.approx(sigma, rel=0.01)
+    assert np.max(np.abs(found)) <= far
+
+
+def test_an_offset_moves_the_mean():
+    found = drawn(problem(tolerances={"wear": PINCH | {"offset": -0.05}}), 4096, "sobol")
+    assert np.mean(found) == pytest.approx(-0.05, abs=1e-3)
+
+
+def test_measured_values_are_drawn_as_they_were_measured(tmp_path):
+    (tmp_path / "parts.csv").write_text("name,preload\na,2.5\nb,3.5\nc,3.0\n")
+    spec = {"path": "rollers.pinch.preload", "kind": "data", "file": "parts.csv", "column": "preload"}
+    study = make_tolerance(BASE | {"tolerances": {"preload": spec}}, folder=tmp_path, scene=nip())
+    found = drawn(study, 1024, "sobol")[:, 0] + 3.0
+    assert found.min() >= 2.5
+    assert found.max() <= 3.5
+    assert np.median(found) == pytest.approx(3.0, abs=0.01)
+    bad = spec | {"column": "prelaod"}
+    with pytest.raises(StudyError, match=r'has no column "prelaod"; did you mean "preload"'):
+        make_tolerance(BASE | {"tolerances": {"preload": bad}}, folder=tmp_path, scene=nip())
+
+
+def test_like_parts_are_independent_unless_tied():
+    both = {"path": ["rollers.drive.radius", "rollers.pinch.radius"], "sigma": 0.01}
+    apart = problem(tolerances={"radius": both})
+    assert [i.name for i in apart.inputs] == ["radius[drive]", "radius[pinch]"]
+    assert abs(np.corrcoef(drawn(apart, 4096).T)[0, 1]) < 0.05
+    tied = problem(tolerances={"radius": both | {"tied": True}})
+    assert [i.name for i in tied.inputs] == ["radius"]
+
+
+def test_a_group_is_drawn_together():
+    rubber = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "sigma": 0.05, "group": "batch"}
+    study = problem(tolerances={"rubber": rubber | {"correlation": 0.6}, "preload": PINCH})
+    found = np.corrcoef(drawn(study, 8192, "sobol").T)
+    assert found[0, 1] == pytest.approx(0.6, abs=0.02)
+    assert abs(found[0, 2]) < 0.03
+    assert np.std(drawn(study, 8192, "sobol"), axis=0) == pytest.approx([0.05, 0.05, 0.1], rel=0.02)
+
+
+@pytest.mark.parametrize("sampling", ["plain", "sobol"])
+def test_sample_i_does_not_depend_on_how_many_there_are(sampling):
+    study = problem()
+    assert np.array_equal(drawn(study, 100, sampling)[:37], drawn(study, 37, sampling))
+    assert not np.array_equal(drawn(study, 37, sampling, 1), drawn(study, 37, sampling))
+
+
+def test_latin_hypercube_has_one_sample_in_each_row():
+    u = uniforms(problem().inputs, "latin_hypercube", 50, 3)
+    assert np.array_equal(np.sort(np.floor(50 * u[:, 0])), np.arange(50))
+
+
+def test_deviates_are_what_the_deviations_are_made_of():
+    study = problem(tolerances={"preload": PINCH | {"offset": 0.02}})
+    u = uniforms(study.inputs, "plain", 20, 0)
+    assert deviations(study.inputs, u) == pytest.approx(0.02 + 0.1 * epsilons(study.inputs, u))
+
+
+def test_a_problem_survives_the_way_to_another_machine():
+    study = problem(measures={"force": {"measure": "nip_force", "of": "pinch"}})
+    there = unpacked(packed(study))
+    assert there.key == study.key
+    assert [i.name for i in there.inputs] == [i.name for i in study.inputs]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tolerances": {"a": {"path": "rollers.pnich.preload", "sigma": 0.1}}},
+         'tolerances.a: "rollers.pnich.preload": rollers has no "pnich"; did you mean "pinch"?'),
+        ({"tolerances": {"a": {"path": "sheets.strip.bars", "sigma": 0.1}}}, '"sheets.strip.bars" is not a number'),
+        ({"tolerances": {"a": {"path": "rollers.pinch.center", "sigma": 0.1}}}, "holds 2 numbers"),
+        ({"tolerances": {"a": PINCH | {"sigma": -0.1}}}, "tolerances.a.sigma must be greater than 0, but is -0.1"),
+        ({"tolerances": {"a": PINCH | {"tolerance": 0.1}}}, "exactly one of tolerance and sigma must be given"),
+        ({"tolerances": {"a": PINCH | {"kind": "truncated_normal", "limits": [0.1, 0.2]}}},
+         "must hold the nominal value, 0, between them, but are [0.1, 0.2]"),
+        ({"tolerances": {"a": PINCH | {"limits": [-0.1, 0.2]}}}, 'limits belong to kind = "truncated_normal"'),
+        ({"tolerances": {"a": {"path": "gravity[0]", "relative": True, "sigma": 0.1}}},
+         "a share of a number that is 0 is always 0"),
+        ({"tolerances": {"a": PINCH | {"sigm": 1}}}, 'tolerances.a.sigm is not a field here; did you mean "sigma"?'),
+        ({"tolerances": {"a": {"climate": "strip", "sigma": 0.3}}}, 'climate needs a card for sheet "strip"'),
+        ({"media": {"strip": "copy_papr_80"}}, "copy_paper_80"),
+        ({"media": {"strop": "copy_paper_80"}}, 'there is no sheet "strop"; did you mean "strip"?'),
+        ({"limits": {"f": {"measure": "nip_force", "of": "pnich", "at_most": 1}}}, 'there is no "pnich"'),
+        ({"method": "euler"}, "method must be one of"),
+        ({"samples": 0}, "samples must be greater than or equal to 1, but is 0"),
+        ({"latitude": {"x": {"path": "sheets.strip.curl", "range": [0.1, -0.1]},
+                       "y": {"path": "sheets.strip.thickness", "range": [0.1, 0.2]}}}, "lower < upper"),
+        ({"latitude": {"x": {"path": "sheets.strip.crul", "range": [-0.1, 0.1]},
+                       "y": {"path": "sheets.strip.thickness", "range": [0.1, 0.2]}}}, 'did you mean "curl"'),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_in_one_sentence(changes, message):
+    with pytest.raises(StudyError) as caught:
+        problem(**changes)
+    assert message in str(caught.value)
+
+
+def test_a_media_card_comes_into_the_scene_and_its_climate_may_scatter():
+    study = problem(media={"strip": "copy_paper_80/humid"}, tolerances={"air": {"climate": "strip", "sigma": 0.3}})
+    assert float(study.scene.sheets["strip"].thickness) == pytest.approx(0.1, abs=0.02)
+    assert study.inputs[0].climate[2] == 1.0

@@ -1,0 +1,333 @@
+"""A tolerance study end to end on a small scene: known answers, the same rows however they are run, nothing lost."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+from stand_in_nip import nip
+from test_optimize_cli import ROOT
+
+import diffeed
+from diffeed import measures
+from optimize.asked import StudyError
+from optimize.tolerance.contributions import indices, slopes
+from optimize.tolerance.folder import Folder, FolderError, read_rows
+from optimize.tolerance.latitude import latitude
+from optimize.tolerance.problem import load_tolerance, make_tolerance
+from optimize.tolerance.replay import replay
+from optimize.tolerance.study import here, run_study
+from optimize.tolerance.summary import summarise
+
+STUDY = {
+    "scene": "nip",
+    "title": "A nip",
+    "duration": 0.01,
+    "dt": 5e-4,
+    "frames": 5,
+    "samples": 24,
+    "tolerances": {
+        "preload": {"path": "rollers.pinch.preload", "sigma": 0.1},
+        "spring": {"path": "rollers.pinch.spring", "relative": True, "sigma": 0.01},
+    },
+    "measures": {"fed": {"measure": "fed"}},
+    "limits": {"force": {"measure": "nip_force", "of": "pinch", "at_most": 3.128}},
+}
+
+
+def problem(scene=None, **changes):
+    return make_tolerance(STUDY | changes, scene=nip(initial="settled") if scene is None else scene)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return run_study(problem(), here(problem(), 8))
+
+
+def same(a, b):
+    return all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in zip(a, b, strict=True))
+
+
+# --- known answers ------------------------------------------------------------------------------------------------------
+
+
+def test_a_linear_measure_has_the_known_variance_and_blame(rows):
+    """A settled nip carries its preload and the little by which its spring is compressed: force = preload + spring u."""
+    summary = summarise(problem(), rows, slopes(problem(), rows.deviation[:4]))
+    force = rows.values[:, 1]
+    assert np.std(force) == pytest.approx(np.std(rows.deviation[:, 0]), rel=0.01)
+    blame = summary["contributions"]["force"]
+    assert blame["regression"][0] == pytest.approx(1.0, abs=0.01)
+    assert blame["first order"][0] > 0.99
+    assert blame["derivative based"][0] > 0.99
+    assert blame["first order std"] == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_known_share_breaks_its_limit():
+    study = problem(samples=256, sampling="sobol", dt=1e-3)
+    found = run_study(study, here(study, 64))
+    nominal = found.values[np.argmin(np.abs(found.deviation).sum(axis=1)), 1]
+    slope = np.polyfit(found.deviation[:, 0], found.values[:, 1], 1)[0]
+    expected = stats.norm.sf((3.128 - nominal) / (0.1 * slope))
+    share = summarise(study, found)["fails"]["force above 3.128"]
+    assert share["value"] == pytest.approx(expected, abs=0.01)
+    assert share["low"] < expected < share["high"]
+    assert share["value"] > 0.05
+
+
+def test_a_known_share_jams():
+    """Half of the driven rollers turn against the sheet's way: a wall of a guide stops these."""
+    wall = diffeed.LineGuide(start=(14.0, 4.0), end=(14.0, -4.0), friction=0.9)
+    scene = nip(initial="settled", speed=-40.0)
+    scene = diffeed.put(scene, "rollers.drive.angular_speed", -200.0)
+    scene = diffeed.scene(**{**vars(scene), "guides": {**scene.guides, "wall": wall}, "duration": 0.03})
+    study = problem(
+        scene,
+        duration=0.03, dt=2e-4, frames=61, samples=64, sampling="sobol", limits={}, measures={},
+        tolerances={"wall": {"shift": ["guides.wall"], "direction": [0.0, 1.0], "kind": "uniform", "tolerance": 16.0}},
+    )  # fmt: skip
+    found = run_study(study, here(study, 32))
+    stopped = np.abs(found.deviation[:, 0]) < 4.0  # the wall stands in the sheet's way
+    assert np.mean(stopped) == pytest.approx(0.25, abs=0.02)
+    assert np.mean(found.status[stopped] >= 2) > 0.85
+    assert np.all(found.status[~stopped] == 0)
+
+
+def test_a_sheet_that_fails_numerically_is_no_pass(rows):
+    study = problem(tolerances={"preload": {"path": "rollers.pinch.preload", "sigma": 1e12}}, samples=4)
+    found = run_study(study, here(study, 4))
+    failed = found.status == measures.STATUSES.index("failed")
+    assert failed.any()
+    assert not found.passed[failed].any()
+    assert np.isnan(found.values[failed]).all()
+    ways = summarise(study, found)["fails"]
+    assert ways["simulation failed"]["count"] == failed.sum()
+    assert ways["in all"]["count"] >= failed.sum()
+
+
+def test_slopes_are_those_of_differences(rows):
+    at = np.zeros((1, 2))
+    found = slopes(problem(), at)
+    assert np.array_equal(found.nominal, found.samples[0])
+    evaluate = here(problem(), 4)
+    step = np.array([[1e-3, 0.0], [-1e-3, 0.0], [0.0, 1e-3], [0.0, -1e-3]])
+    (seen,) = evaluate(np.arange(4), step)
+    assert found.nominal[:, 0] == pytest.approx((seen.values[0] - seen.values[1]) / 2e-3, rel=1e-4, abs=1e-7)
+    assert found.nominal[:, 1] == pytest.approx((seen.values[2] - seen.values[3]) / 2e-3, rel=1e-4, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_sobol_indices_blame_the_preload():
+    study = problem()
+    found = indices(study, 16, here(study, 16), None)[1]
+    assert found.first[0] == pytest.approx(1.0, abs=0.1)
+    assert found.total[1] == pytest.approx(0.0, abs=0.05)
+
+
+# --- the same however it is run -----------------------------------------------------------------------------------------
+
+
+def test_rows_do_not_depend_on_the_chunk(rows):
+    other = run_study(problem(), here(problem(), 5))
+    assert np.array_equal(other.deviation, rows.deviation)
+    assert other.values == pytest.approx(rows.values, rel=1e-9)
+    assert np.array_equal(other.status, rows.status)
+
+
+def test_resuming_a_truncated_study_gives_the_same_bits(rows, tmp_path):
+    folder = tmp_path / "made"
+    assert same(run_study(problem(), here(problem(), 8), folder), rows)
+    assert same(read_rows(folder, problem()), rows)
+    table = folder / "samples.csv"
+    text = table.read_bytes()
+    for keep in (len(text) // 2, len(text) - 3, 40, 0):
+        table.write_bytes(text[:keep])
+        ran = []
+        again = run_study(
+            problem(), here(problem(), 8), folder, resume=True, show=lambda done, failed, now: ran.append(now)
+        )
+        assert same(again, rows), keep
+        assert 0 < sum(ran) <= 24
+        assert table.read_bytes() == text
+    more = run_study(problem(samples=32), here(problem(), 8), folder, resume=True)
+    assert same((v[:24] for v in more), rows)
+
+
+def test_a_folder_belongs_to_one_study(rows, tmp_path):
+    folder = tmp_path / "made"
+    run_study(problem(samples=2), here(problem(), 2), folder)
+    with pytest.raises(FolderError, match="already holds a study; add --resume"):
+        run_study(problem(samples=2), None, folder)
+    with pytest.raises(FolderError, match="holds another study"):
+        run_study(problem(seed=1), None, folder, resume=True)
+    with pytest.raises(FolderError, match="holds no study to resume"):
+        run_study(problem(), None, tmp_path / "none", resume=True)
+    other = tmp_path / "photos"
+    other.mkdir()
+    (other / "cat.jpg").write_text("meow")
+    with pytest.raises(FolderError, match="holds other files"):
+        run_study(problem(), None, other)
+    assert [p.name for p in other.iterdir()] == ["cat.jpg"]
+    lines = (folder / "samples.csv").read_text().splitlines()
+    (folder / "samples.csv").write_text("\n".join([lines[0], lines[1].replace("passed", "psased"), lines[2]]) + "\n")
+    with pytest.raises(FolderError, match="line 2 cannot be read"):
+        run_study(problem(samples=2), None, folder, resume=True)
+
+
+def test_two_runs_do_not_write_into_one_folder(tmp_path):
+    first, second = Folder(tmp_path / "made", problem()), Folder(tmp_path / "made", problem())
+    first.start(resume=False, force=False)
+    with pytest.raises(FolderError, match="is being written by another run"):
+        second.start(resume=True, force=False)
+    first.close()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
+def test_a_full_disk_is_told_and_keeps_what_is_there(rows, tmp_path):
+    folder = Folder(tmp_path / "made", problem())
+    folder.start(resume=False, force=False)
+    folder._stream.close()
+    folder._stream = open("/dev/full", "w")  # noqa: SIM115
+    with pytest.raises(FolderError, match="No space left"):
+        folder.add(rows)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_gives_the_same_rows(rows):
+    from optimize.tolerance.cluster import connect, on_cluster
+
+    with connect(None, 2) as client:
+        killed = []
+
+        def show(done, failed, now):
+            if not killed:
+                workers = sorted(client.run(os.getpid).values())
+                killed.append(workers[0])
+                os.kill(workers[0], 9)
+
+        found = run_study(problem(), on_cluster(problem(), client, 8), show=show)
+    assert killed
+    assert same(found, rows)
+
+
+@pytest.mark.slow
+def test_two_devices_give_the_same_rows(rows, tmp_path):
+    """In a process of its own: devices are made before the first computation."""
+    code = """
+import sys
+sys.path.insert(0, "tests")
+jax.config.update("jax_enable_x64", True)
+from diffeed import tuning
+tuning.use_all_cores(); jax.config.update("jax_num_cpu_devices", 2)
+import os; os.environ["NPROC"] = "16"
+from test_tolerance_study import problem, run_study, here
+import numpy as np
+found = run_study(problem(), here(problem(), 8))
+np.save(sys.argv[1], found.values)
+assert len(jax.devices()) == 2
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "v.npy")], check=True, cwd=ROOT, timeout=300)
+    assert np.load(tmp_path / "v.npy") == pytest.approx(rows.values, rel=1e-9)
+
+
+# --- maps, replays, the command -----------------------------------------------------------------------------------------
+
+
+def test_a_latitude_tells_what_passes_and_by_what_margin():
+    study = problem(
+        latitude={"x": {"path": "sheets.strip.thickness", "range": [0.1, 0.3], "points": 3},
+                  "y": {"path": "sheets.strip.curl", "range": [-0.01, 0.01], "points": 2}},
+    )  # fmt: skip
+    found = latitude(study)
+    assert found.margin.shape == found.passed.shape == (2, 3)
+    assert np.isfinite(found.margin).all()
+    scene = diffeed.put(diffeed.put(study.scene, "sheets.strip.thickness", 0.3), "sheets.strip.curl", 0.01)
+    run = diffeed.simulate(scene, 0.01, 5e-4, 5, observe=("feed", "spans"))
+    assert found.margin[1, 2] == pytest.approx(float(measures.jam_margin(scene, run)), rel=1e-6)
+    assert found.labels[0] == "sheets.strip.thickness, mm"
+
+
+def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):
+    path, verdict = replay(problem(), 7, tmp_path)
+    assert path.stat().st_size > 5000
+    assert verdict.startswith("passed")
+    scene = diffeed.load_scene(tmp_path / "sample_7.toml")
+    assert float(scene.rollers["pinch"].preload) == pytest.approx(3.0 + rows.deviation[7, 0], rel=1e-12)
+    with pytest.raises(ValueError, match="samples 0 to 23"):
+        replay(problem(), 24, tmp_path)
+
+
+def test_shipped_study_fits_its_scene():
+    study = load_tolerance("film_tolerances")
+    assert len(study.study.tolerances) == 12
+    assert len(study.inputs) == 24
+    with pytest.raises(StudyError, match="design search"):
+        load_tolerance("nip_slip")
+
+
+@pytest.mark.slow
+def test_the_command_from_study_to_pictures(tmp_path):
+    diffeed.save_scene(nip(initial="settled"), tmp_path / "nip.toml")
+    (tmp_path / "study.toml").write_text(
+        """
+title = "A nip"
+scene = "nip.toml"
+duration = 0.01
+dt = 5e-4
+frames = 5
+samples = 24
+[tolerances.preload]
+path = "rollers.pinch.preload"
+sigma = 0.1
+[tolerances.radius]
+path = ["rollers.drive.radius", "rollers.pinch.radius"]
+tolerance = 0.05
+[limits.force]
+measure = "nip_force"
+of = "pinch"
+at_most = 3.128
+[latitude.x]
+path = "sheets.strip.thickness"
+range = [0.1, 0.3]
+[latitude.y]
+path = "sheets.strip.curl"
+range = [-0.01, 0.01]
+"""
+    )
+
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, "-m", "optimize", *words], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+            env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(ROOT), "COLUMNS": "110"},
+        )  # fmt: skip
+
+    done = run("tolerance", "study.toml", "--out", "made", "--gradients", "4", "--indices", "8")
+    assert done.returncode == 0, done.stderr
+    assert "A nip: 24 samples" in done.stdout
+    assert "they agree" in done.stdout
+    summary = json.loads((tmp_path / "made/result.json").read_text())
+    assert summary["samples"] == 24
+    assert set(summary["inputs"]) == {"preload", "radius[drive]", "radius[pinch]"}
+    for name in ("convergence.png", "force_histogram.png", "force_distribution.png", "force_contributions.png"):
+        assert (tmp_path / "made" / name).stat().st_size > 5000, name
+    again = run("tolerance", "study.toml", "--out", "made")
+    assert again.returncode == 2
+    assert "--resume" in again.stderr
+    more = run("tolerance", "study.toml", "--out", "made", "--resume", "--samples", "30", "--no-pictures")
+    assert more.returncode == 0, more.stderr
+    compared = run("tolerance", "study.toml", "--out", "after", "--before", "made", "--samples", "30")
+    assert compared.returncode == 0, compared.stderr
+    assert "before" in compared.stdout
+    mapped = run("latitude", "study.toml", "--points", "3", "--out", "map")
+    assert mapped.returncode == 0, mapped.stderr
+    assert "of 9 sheets pass" in mapped.stdout
+    assert (tmp_path / "map/latitude.png").stat().st_size > 5000
+    played = run("tolerance", "study.toml", "--replay", "3", "--out", "made")
+    assert played.returncode == 0, played.stderr
+    assert (tmp_path / "made/sample_3.html").exists()
+    bad = run("tolerance", "study.toml", "--indices", "6")
+    assert bad.returncode == 2
+    assert "power of two" in bad.stderr
