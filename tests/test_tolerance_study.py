@@ -1,5 +1,6 @@
 """A tolerance study end to end on a small scene: known answers, the same rows however they are run, nothing lost."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -79,28 +80,33 @@ def test_a_known_share_breaks_its_limit():
 
 
 def test_a_known_share_jams():
-    """Half of the driven rollers turn against the sheet's way: a wall of a guide stops these."""
-    wall = diffeed.LineGuide(start=(14.0, 4.0), end=(14.0, -4.0), friction=0.9)
-    scene = nip(initial="settled", speed=-40.0)
-    scene = diffeed.put(scene, "rollers.drive.angular_speed", -200.0)
-    scene = diffeed.scene(**{**vars(scene), "guides": {**scene.guides, "wall": wall}, "duration": 0.03})
+    """A wall behind the nip: where the opening in it is out of the sheet's way, the sheet stands still."""
+    scene = nip(initial="settled", speed=-200.0)
+    walls = {
+        "over": diffeed.LineGuide(start=(16.0, 2.0), end=(16.0, 40.0), friction=0.5),
+        "under": diffeed.LineGuide(start=(16.0, -40.0), end=(16.0, -2.0), friction=0.5),
+    }
+    scene = diffeed.scene(**{**vars(scene), "guides": {**scene.guides, **walls}})
     study = problem(
-        scene,
-        duration=0.03, dt=2e-4, frames=61, samples=64, sampling="sobol", limits={}, measures={},
-        tolerances={"wall": {"shift": ["guides.wall"], "direction": [0.0, 1.0], "kind": "uniform", "tolerance": 16.0}},
+        scene, duration=0.06, dt=2e-4, frames=61, samples=64, sampling="sobol", limits={}, measures={},
+        tolerances={"walls": {"shift": ["guides.over", "guides.under"], "tied": True, "direction": [0.0, 1.0],
+                              "kind": "uniform", "tolerance": 6.0}},
     )  # fmt: skip
     found = run_study(study, here(study, 32))
-    stopped = np.abs(found.deviation[:, 0]) < 4.0  # the wall stands in the sheet's way
-    assert np.mean(stopped) == pytest.approx(0.25, abs=0.02)
-    assert np.mean(found.status[stopped] >= 2) > 0.85
-    assert np.all(found.status[~stopped] == 0)
+    off = np.abs(found.deviation[:, 0])
+    open_, shut = off < 1.0, off > 2.7  # between them it depends on how the corner is met
+    assert np.mean(shut) == pytest.approx(1.0 - 2.7 / 6.0, abs=0.03)
+    assert np.all(found.status[open_] == 0)
+    assert np.all(found.status[shut] >= 2)
 
 
-def test_a_sheet_that_fails_numerically_is_no_pass(rows):
-    study = problem(tolerances={"preload": {"path": "rollers.pinch.preload", "sigma": 1e12}}, samples=4)
-    found = run_study(study, here(study, 4))
+def test_a_sheet_that_fails_numerically_is_no_pass():
+    """With a preload of thousands of newtons the pinch goes through the sheet in some samples."""
+    study = problem(tolerances={"preload": {"path": "rollers.pinch.preload", "sigma": 1e5}}, samples=8)
+    found = run_study(study, here(study, 8))
     failed = found.status == measures.STATUSES.index("failed")
     assert failed.any()
+    assert not failed.all()
     assert not found.passed[failed].any()
     assert np.isnan(found.values[failed]).all()
     ways = summarise(study, found)["fails"]
@@ -180,19 +186,23 @@ def test_a_folder_belongs_to_one_study(rows, tmp_path):
 def test_two_runs_do_not_write_into_one_folder(tmp_path):
     first, second = Folder(tmp_path / "made", problem()), Folder(tmp_path / "made", problem())
     first.start(resume=False, force=False)
-    with pytest.raises(FolderError, match="is being written by another run"):
-        second.start(resume=True, force=False)
-    first.close()
+    try:
+        with pytest.raises(FolderError, match="is being written by another run"):
+            second.start(resume=True, force=False)
+    finally:
+        first.close()
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
 def test_a_full_disk_is_told_and_keeps_what_is_there(rows, tmp_path):
     folder = Folder(tmp_path / "made", problem())
     folder.start(resume=False, force=False)
-    folder._stream.close()
+    folder.close()
     folder._stream = open("/dev/full", "w")  # noqa: SIM115
     with pytest.raises(FolderError, match="No space left"):
         folder.add(rows)
+    with contextlib.suppress(OSError):
+        folder.close()
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from diffeed import measures
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, joined
 
-MARK = "study.json"
+MARK, LOCK = "study.json", ".lock"
 FIXED = ("sample", "status", "reason", "time")
 
 
@@ -32,6 +32,7 @@ class Folder:
         self.place, self.problem = place, problem
         self.table = place / f"{name}.csv"
         self._stream: Any = None
+        self._held: Any = None
 
     @property
     def columns(self) -> list[str]:
@@ -43,6 +44,8 @@ class Folder:
         """What is there already; the table is then open for more."""
         mark = self.place / MARK
         try:
+            if mark.exists():
+                self._lock()
             if resume or (self.table.name != "samples.csv" and not force):
                 self._same_study(mark, resume)
             elif mark.exists() and not force:
@@ -51,9 +54,10 @@ class Folder:
                     "another folder"
                 )
             else:
-                if self.place.exists() and not mark.exists() and any(self.place.iterdir()):
+                if self.place.exists() and not mark.exists() and any(p.name != LOCK for p in self.place.iterdir()):
                     raise FolderError(f"{self.place} holds other files; name an empty folder or a new one")
                 self.place.mkdir(parents=True, exist_ok=True)
+                self._lock()
                 for old in [*self.place.glob("*.csv"), self.place / "result.json"]:
                     old.unlink(missing_ok=True)
                 mark.write_text(
@@ -66,9 +70,12 @@ class Folder:
             draft.write_text(kept, "utf-8", newline="")
             os.replace(draft, self.table)
             self._stream = self.table.open("a", encoding="utf-8", newline="")
-            _lock(self._stream, self.place)
         except OSError as error:
+            self.close()
             raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
+        except FolderError:
+            self.close()
+            raise
         return done
 
     def rows(self) -> Rows | None:
@@ -86,12 +93,28 @@ class Folder:
             ) from error
 
     def close(self) -> None:
-        if self._stream is not None:
-            self._stream.close()
+        for stream in (self._stream, self._held):
+            if stream is not None:
+                stream.close()
+        self._stream = self._held = None
+
+    def _lock(self) -> None:
+        """Two studies must not write into one folder; the lock goes with the process."""
+        try:
+            import fcntl
+        except ImportError:  # not on this system
+            return
+        if self._held is None:
+            self._held = (self.place / LOCK).open("w")
+            try:
+                fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                self.close()
+                raise FolderError(f"{self.place} is being written by another run") from None
 
     def sort(self, rows: Rows) -> None:
         """The whole table again, in the order of the samples: workers finish in any order."""
-        self.close()
+        self._stream.close()
         draft = self.table.with_name(f".{self.table.name}.part")
         lines = (_line(self._words(rows, k)) for k in range(len(rows.sample)))
         try:
@@ -165,15 +188,3 @@ def _line(words: list[str]) -> str:
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerow(words)
     return stream.getvalue()
-
-
-def _lock(stream: Any, place: Path) -> None:
-    """Two studies must not write into one folder; the lock goes with the process."""
-    try:
-        import fcntl
-    except ImportError:  # not on this system
-        return
-    try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise FolderError(f"{place} is being written by another run") from None
