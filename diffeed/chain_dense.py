@@ -28,7 +28,7 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
         columns = system.border.columns
         both = _gather(layout, jnp.concatenate([sides, columns]), lx, ly)
         gathered, coupling = both[:k], both[k:]
-        matrix = jnp.block([[matrix, coupling.T], [coupling, system.border.matrix]])
+        matrix = _joined(matrix, coupling, system.border.matrix)
         bias = jnp.concatenate([bias_x, bias_y]) @ columns[:, :2].reshape(columns.shape[0], -1).T
         gathered = jnp.concatenate([gathered, border.at[0].add(-bias)], axis=1)
     found = solve_positive(matrix, gathered.T).T
@@ -69,7 +69,14 @@ def _matrix(system: System, layout: Layout, lx: Array, ly: Array) -> Array:
     member = jnp.asarray(membership(layout).T, lx.dtype)
     lead = jnp.concatenate([vx[None] * member, vy[None] * member])
     xx, xy, yy = (jnp.diag(v) for v in totals)
-    return jnp.block([[jnp.block([[xx, xy], [xy, yy]]), lead], [lead.T, turning]])
+    return _joined(jnp.block([[xx, xy], [xy, yy]]), lead.T, turning)
+
+
+def _joined(first: Array, below: Array, last: Array) -> Array:
+    """[[first, below'], [below, last]]. Set block by block: in one concatenation each entry would ask which block it is in."""
+    n, m = first.shape[0], first.shape[0] + last.shape[0]
+    whole = jnp.zeros((m, m), first.dtype).at[:n, :n].set(first)
+    return whole.at[n:, :n].set(below).at[:n, n:].set(below.T).at[n:, n:].set(last)
 
 
 def _gather(layout: Layout, sides: Array, lx: Array, ly: Array) -> Array:

@@ -94,8 +94,8 @@ class Kept(NamedTuple):
     travel_x: Array  # unit direction of a movable roller's travel, 0 for all other circles
     travel_y: Array
     spin_lever: Array  # radius of a freely turning roller, 0 for all other circles
-    lines: Lines
-    arcs: Arcs
+    lines: Lines | None  # None: not looked at
+    arcs: Arcs | None
     surface: Surface
     slot: Array | None  # (rollers, features) which slot holds the roller; None: rows are bodies
     has_slot: Array | None  # and whether one does
@@ -119,6 +119,14 @@ def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
 def keep_all(model: Model) -> Kept:
     """Every body against every feature."""
     return keep(model, None, None, None)
+
+
+def keep_rollers(model: Model) -> Kept:
+    """Every roller against every feature, and no guide: half the work or less, for who asks about nips."""
+    whole, n = keep_all(model), model.rollers.n
+    fields = ("radius", "active", "travel_x", "travel_y", "spin_lever")
+    cut = {name: getattr(whole, name)[:n] for name in fields}
+    return whole._replace(lines=None, arcs=None, surface=jax.tree.map(lambda v: v[:n], whole.surface), **cut)
 
 
 def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array | None) -> Kept:
@@ -173,11 +181,11 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept) -> Pairs:
 
 def _near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
     families = []
-    if model.circle_names:
+    if kept.n_circles:
         families.append(circles_near(model, row, world, kept))
-    if model.lines.names:
+    if model.lines.names and kept.lines is not None:
         families.append(lines_near(row, world, kept))
-    if model.arcs.names:
+    if model.arcs.names and kept.arcs is not None:
         families.append(arcs_near(row, world, kept))
     if len(families) == 1:
         return families[0]
@@ -186,7 +194,7 @@ def _near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
 
 def circles_near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
     """Bars (faces and end circles) against rollers, circle guides and tips."""
-    rigid = Rigid(*picked(tuple(world.circles), kept.circle_index))
+    rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
     near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
     return Closest(
         gap=near.gap - row.half_thickness,
@@ -211,6 +219,7 @@ def _chain(model: Model, row: Features) -> Chain:
 def lines_near(row: Features, world: Bodies, kept: Kept) -> Closest:
     """End circles against line guides."""
     lines = kept.lines
+    assert lines is not None
     if world.line_motion is not None:
         lines = jax.tree.map(lambda v: pick(v, kept.line_index), world.lines)
     px, py = _points(row)
@@ -221,6 +230,7 @@ def lines_near(row: Features, world: Bodies, kept: Kept) -> Closest:
 def arcs_near(row: Features, world: Bodies, kept: Kept) -> Closest:
     """End circles against arc guides."""
     arcs = kept.arcs
+    assert arcs is not None
     if world.arc_motion is not None:
         arcs = jax.tree.map(lambda v: pick(v, kept.arc_index), world.arcs)
     px, py = _points(row)

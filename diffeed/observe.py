@@ -35,11 +35,15 @@ class Seen(NamedTuple):
 
 
 class Observer(NamedTuple):
-    """start(model, scene, state); update(model, scene, sums, seen); close(model, scene, sums, state)."""
+    """start(model, scene, state); update(model, scene, sums, seen); close(model, scene, sums, state).
+
+    `guides`: whether it needs to see contacts with guides, or those with rollers alone.
+    """
 
     start: Callable[..., Any]
     update: Callable[..., Any]
     close: Callable[..., Any]
+    guides: bool = False
 
 
 # --- nips: slip and forces per roller -----------------------------------------------------------------------------------
@@ -321,8 +325,8 @@ def _feed_close(model: Model, scene: Scene, feed: Feed, state: State) -> dict[st
 OBSERVERS: dict[str, Observer] = {
     "nips": Observer(_nips_start, _nips_update, _nips_close),
     "arrivals": Observer(_arrivals_start, _arrivals_update, _arrivals_close),
-    "energy": Observer(_energy_start, _energy_update, _energy_close),
-    "gaps": Observer(_gaps_start, _gaps_update, _gaps_close),
+    "energy": Observer(_energy_start, _energy_update, _energy_close, guides=True),
+    "gaps": Observer(_gaps_start, _gaps_update, _gaps_close, guides=True),
     "curvature": Observer(_curvature_start, _curvature_update, _curvature_close),
     "feed": Observer(_feed_start, _feed_update, _feed_close),
     "spans": Observer(spans.start, spans.update, spans.close),

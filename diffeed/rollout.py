@@ -200,7 +200,8 @@ def _guarded_step(
     fine = (carry.cause == 0) & (cause == 0)
     opened = carry.open
     if observe:
-        seen = Seen(before, after, h, *look(model, before))
+        guides = any(OBSERVERS[name].guides for name in observe)
+        seen = Seen(before, after, h, *look(model, before, guides))
         opened = {name: OBSERVERS[name].update(model, scene, carry.open[name], seen) for name in observe}
     return Progress(
         state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),

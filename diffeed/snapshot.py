@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.bodies import Bodies, bodies, shift_at, spins
-from diffeed.contact import Pairs, keep_all
+from diffeed.contact import Pairs, keep_all, keep_rollers
 from diffeed.forces import Contacts, contacts
 from diffeed.kinematics import Pose, from_nodes, node_velocities, nodes, pose, to_nodes
 from diffeed.model import NEWTON, Model
@@ -28,17 +28,17 @@ class Felt(NamedTuple):
 
 
 def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
-    """Sums over features, (bodies,). A joined tip touches nothing: its gap is infinite."""
+    """Sums over features, (bodies,), or (rollers,) where only rollers were looked at. A joined tip touches nothing: its gap is infinite."""
     c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
     touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
-    n = len(model.circle_names)
     gap = jnp.min(pairs.gap, axis=1)
+    n = min(gap.shape[0], len(model.circle_names))  # the rollers alone, or all bodies
     return Felt(
         force=jnp.sum(touch.force, axis=1) / NEWTON,
         friction=jnp.sum(-touch.friction * along, axis=1) / NEWTON,
         moment=jnp.sum(touch.friction, axis=1) / NEWTON,
         slide=jnp.sum(-touch.force * pairs.v_t * along, axis=1) / NEWTON,
-        gap=gap.at[:n].set(jnp.where(model.circles.active > 0, gap[:n], jnp.inf)),
+        gap=gap.at[:n].set(jnp.where(model.circles.active[:n] > 0, gap[:n], jnp.inf)),
     )
 
 
@@ -152,11 +152,15 @@ def sheet_tracks(model: Model, state: State, at: Pose, touching: Contacts) -> di
     return tracks
 
 
-def look(model: Model, state: State) -> tuple[Pose, Bodies, Contacts]:
-    """Pose, bodies and contacts at a state itself (shafts as prescribed at its own time)."""
+def look(model: Model, state: State, guides: bool = True) -> tuple[Pose, Bodies, Contacts]:
+    """Pose, bodies and contacts at a state itself (shafts as prescribed at its own time).
+
+    Without `guides`, contacts hold the rows of the rollers alone.
+    """
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
-    return at, world, contacts(model, at, world, keep_all(model))
+    whole = guides or model.rollers.n == 0
+    return at, world, contacts(model, at, world, keep_all(model) if whole else keep_rollers(model))
 
 
 def snapshot(model: Model, state: State) -> tuple[dict[str, SheetTrack], Parts[RollerTrack], Parts[GuideTrack]]:

@@ -199,6 +199,14 @@ def test_a_single_value_stands_in_the_middle_of_its_bar():
     assert 0.5 * (data.edges[k] + data.edges[k + 1]) == pytest.approx(0.41)
 
 
+def test_values_that_differ_by_rounding_share_one_visible_bar():
+    ax = drawn(charts.histogram(np.array([1e9, np.nextafter(1e9, 2e9)]), "gap, mm", (None, None)))
+    data = steps(ax)[0].get_data()
+    k = int(np.argmax(data.values))
+    assert data.values[k] == 100.0
+    assert data.edges[k + 1] - data.edges[k] > 0.02 * np.ptp(ax.get_xlim())
+
+
 def test_distribution_steps_and_its_exact_band():
     ax = drawn(charts.distribution(np.array([3.0, 1.0, 2.0, 2.0, np.nan]), "gap, mm", (None, 5.0)))
     left, right = ax.get_xlim()

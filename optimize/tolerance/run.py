@@ -14,7 +14,7 @@ from diffeed import measures, tuning
 from optimize.asked import values_of, violations
 from optimize.tolerance.problem import ToleranceProblem, rest_of, sampled
 
-TOGETHER = 16
+TOGETHER = 8
 """Samples that a processor core computes at once: more fall out of its cache (measured, see the README)."""
 SHARE = 0.25
 """Share of an accelerator's memory that a chunk may take."""
