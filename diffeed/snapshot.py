@@ -28,7 +28,10 @@ class Felt(NamedTuple):
 
 
 def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
-    """Sums over features, (bodies,), or (rollers,) where only rollers were looked at. A joined tip touches nothing: its gap is infinite."""
+    """Sums over features, (bodies,), or (rollers,) where only those were looked at.
+
+    A joined tip touches nothing: its gap is infinite.
+    """
     c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
     touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
     gap = jnp.min(pairs.gap, axis=1)

@@ -8,7 +8,7 @@ from jax import Array
 
 import diffeed
 from diffeed.names import hint, nearest
-from optimize.study import Limit, Measured
+from optimize.records import Limit, Measured
 from optimize.terms import TERMS, Term
 
 

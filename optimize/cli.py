@@ -122,11 +122,11 @@ def compare(study: str, fuse: bool, out: Path | None, budget: int) -> None:
 @main.command(context_settings=SETTINGS)
 def studies() -> None:
     """List the studies that come with the package."""
-    from optimize.study_file import read_table, shipped_studies
+    from optimize.study_file import is_tolerance, read_table, shipped_studies
 
     for name in sorted(shipped_studies()):
         table, _ = read_table(name)
-        kind = "tolerance" if "tolerances" in table and "variables" not in table else "design"
+        kind = "tolerance" if is_tolerance(table) else "design"
         click.echo(f"{name} ({kind})\n  {table.get('title', '')}")
 
 
@@ -154,7 +154,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
         click.echo(problem, err=True)
     from optimize.asked import StudyError
     from optimize.problem import make_problem
-    from optimize.study_file import load_study
+    from optimize.study_file import folder_of, load_study
 
     with refusing(StudyError):
         study = load_study(where)
@@ -165,7 +165,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
                 found = found.model_copy(update={"stages": [*found.stages[:-1], last]})
             study = study.model_copy(update={"search": found})
         click.echo(f"{where}: checking and compiling (takes longest the first time)", err=True)
-        problem = make_problem(study, where)
+        problem = make_problem(study, where, folder=folder_of(where))
         click.echo(f"gradient: {problem.plan().sentence()}", err=True)
         return problem
 

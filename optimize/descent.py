@@ -115,7 +115,8 @@ def search(
     while not progress.reason:
         begun = time.monotonic()
         stage = stages_of(problem)[progress.stage]
-        found = evaluator.gradients(progress.unit, progress.multipliers, progress.penalty, settings_of(stage))
+        settings = settings_of(stage)._replace(deviations=problem.deviations(progress.iteration))
+        found = evaluator.gradients(progress.unit, progress.multipliers, progress.penalty, settings)
         _judge(problem, progress, found)
         _step(problem, progress, move, evaluator)
         progress.iteration += 1
@@ -233,7 +234,11 @@ def _newton_like(problem: Problem) -> Any:
             jnp.asarray(progress.good), jnp.asarray(progress.level), jnp.asarray(progress.slope), progress.state,
             jnp.asarray(progress.multipliers), jnp.asarray(progress.penalty), jnp.asarray(settings.smoothing),
         )  # fmt: skip
-        return np.asarray(after), jax.device_get(state), int(np.sum(taken)) * len(problem.media)
+        return (
+            np.asarray(after),
+            jax.device_get(state),
+            int(np.sum(taken)) * len(problem.media) * len(problem.deviations()),
+        )
 
     return move
 

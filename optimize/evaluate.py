@@ -71,10 +71,12 @@ class Evaluator:
         function = self._compiled.get(settings.duration)
         if function is None:
             function = self._compiled[settings.duration] = jax.jit(self._make(settings.duration))
+        made = self.problem.deviations() if settings.deviations is None else settings.deviations
         out = function(
-            jnp.asarray(unit), jnp.asarray(multipliers), jnp.asarray(penalty), jnp.asarray(settings.smoothing)
-        )
-        runs = len(unit) * len(self.draws) * len(self.problem.media)
+            jnp.asarray(unit), jnp.asarray(multipliers), jnp.asarray(penalty), jnp.asarray(settings.smoothing),
+            jnp.asarray(made),
+        )  # fmt: skip
+        runs = len(unit) * len(self.draws) * len(self.problem.media) * len(made)
         self.counts = self.counts.plus(runs, runs)
         return Evaluated(np.array(out[0]), np.array(out[1]), jax.device_get(out[2]))
 
@@ -89,33 +91,35 @@ class Evaluator:
 
             function = self._plain[settings.duration] = jax.jit(many)
         seen = function(jnp.asarray(unit), jnp.asarray(settings.smoothing))
-        self.counts = self.counts.plus(len(unit) * len(self.problem.media), 0)
+        self.counts = self.counts.plus(len(unit) * len(self.problem.media) * len(self.problem.deviations()), 0)
         return jax.device_get(seen)
 
     def _make(self, duration: float | None):
         problem, draws = self.problem, jnp.asarray(self.draws)
         mode = problem.plan(duration).mode
 
-        def one(point: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Seen]:
+        def one(point: tuple[Array, Array, Array, Array], made: Array) -> tuple[Array, Array, Seen]:
             unit, multipliers, penalty, smoothing = point
 
             def of(u: Array) -> tuple[Array, tuple[Array, Seen]]:
-                value, seen = loss(problem, u, multipliers, penalty, Settings(smoothing, duration))
+                value, seen = loss(problem, u, multipliers, penalty, Settings(smoothing, duration, made))
                 return value, (value, seen)
 
             take = jax.jacfwd if mode == "forward" else jax.jacrev
             gradient, (value, seen) = take(of, has_aux=True)(unit)
             return value, gradient, seen
 
-        def many(unit: Array, multipliers: Array, penalty: Array, smoothing: Array) -> tuple[Array, Array, Seen]:
+        def many(
+            unit: Array, multipliers: Array, penalty: Array, smoothing: Array, made: Array
+        ) -> tuple[Array, Array, Seen]:
             count, samples = unit.shape[0], draws.shape[0]
             around = jnp.clip(unit[:, None] + draws[None], 0.0, 1.0).reshape(count * samples, -1)
             spread = lambda v: jnp.repeat(v, samples, axis=0)  # noqa: E731
             points = (around, spread(multipliers), spread(penalty), jnp.broadcast_to(smoothing, (count * samples,)))
             if count * samples == 1:
-                value, gradient, seen = jax.tree.map(lambda v: v[None], one(jax.tree.map(lambda v: v[0], points)))
+                value, gradient, seen = jax.tree.map(lambda v: v[None], one(jax.tree.map(lambda v: v[0], points), made))
             else:
-                value, gradient, seen = jax.lax.map(one, points, batch_size=TOGETHER)
+                value, gradient, seen = jax.lax.map(lambda p: one(p, made), points, batch_size=TOGETHER)
             value, gradient = value.reshape(count, samples), gradient.reshape(count, samples, -1)
             seen = jax.tree.map(lambda v: v.reshape(count, samples, *v.shape[1:]), seen)
             # A sample that failed says nothing about the mean; a point fails when most of its samples do.

@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +19,8 @@ from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, resolved, shown, values_of, violations
 from optimize.study import Goal, Study
 from optimize.terms import TERMS
+from optimize.tolerance.draws import Input, deviations, inputs_of, uniforms
+from optimize.tolerance.moves import sampled
 
 SLACK = 1e-2
 """A limit counts as kept when it is missed by less than this share of its scale."""
@@ -44,6 +47,7 @@ class Problem:
     goals: tuple[Asked, ...]
     limits: tuple[Asked, ...]
     start: np.ndarray  # (n,) unit values
+    inputs: tuple[Input, ...] = ()  # what scatters
 
     @property
     def variables(self) -> tuple[Any, ...]:
@@ -84,6 +88,14 @@ class Problem:
         ends = np.where(moved - np.asarray(start) < 0.5 * np.array(sizes), back, moved)
         return np.abs(free.unit(self.variables, ends) - self.start)
 
+    def deviations(self, iteration: int = 0) -> np.ndarray:
+        """(samples, inputs) what scatters in the machines of an iteration; (1, 0) for a study without tolerances."""
+        robust = self.study.robust
+        if not self.inputs:
+            return np.zeros((1, 0))
+        seed = robust.seed + (iteration if robust.redraw else 0)
+        return deviations(self.inputs, uniforms(self.inputs, "latin_hypercube", robust.samples, seed))
+
     def plan(self, duration: float | None = None) -> diffeed.GradientPlan:
         """How the gradient of one run is taken, and what it needs."""
         study = self.study
@@ -97,10 +109,12 @@ class Problem:
 
 
 class Settings(NamedTuple):
-    """What a stage changes: easier contact (traced), run length (static)."""
+    """What a stage changes: easier contact (traced), run length (static); and the machines of an iteration (traced),
+    the problem's fixed ones if not given."""
 
     smoothing: Any = 1.0
     duration: float | None = None
+    deviations: Any = None
 
 
 def simulate(problem: Problem, scene: diffeed.Scene, duration: float | None = None, extra: tuple[str, ...] = ()) -> Any:
@@ -139,16 +153,48 @@ def objective_of(problem: Problem, values: Array) -> Array:
 def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
     """Run all media at a point."""
     factor = jnp.asarray(settings.smoothing)
+    made = problem.deviations() if settings.deviations is None else settings.deviations
 
-    def one(scene: diffeed.Scene) -> Seen:
+    def one(scene: diffeed.Scene, deviation: Array) -> Seen:
         moved = free.applied(scene, problem.variables, free.physical(problem.variables, unit))
+        moved = sampled(problem.inputs, moved, deviation)
         run = simulate(problem, eased(moved, factor), settings.duration)
         goals, limits = values_of(problem.goals, moved, run), values_of(problem.limits, moved, run)
         return Seen(goals, limits, violations(problem.limits, limits), objective_of(problem, goals), run.ok)
 
-    if len(problem.scenes) == 1:
-        return jax.tree.map(lambda v: v[None], one(problem.scenes[0]))
-    return jax.vmap(one)(diffeed.stack(list(problem.scenes)))
+    made = jnp.asarray(made)
+    if len(problem.scenes) == 1 and made.shape[0] == 1:
+        return jax.tree.map(lambda v: v[None], one(problem.scenes[0], made[0]))
+    scenes = diffeed.stack(list(problem.scenes))
+    if made.shape[0] == 1:
+        return jax.vmap(one, in_axes=(0, None))(scenes, made[0])
+    every = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(scenes, made)
+    return _over_samples(problem, every)
+
+
+def _over_samples(problem: Problem, every: Seen) -> Seen:
+    """(media, samples, ...) -> (media, ...): of objectives and violations the risk that the study names, of measures the
+    mean. A point holds when all its machines run."""
+    robust = problem.study.robust
+
+    def risk(values: Array) -> Array:
+        """Over axis 1."""
+        if robust.over == "mean":
+            return jnp.mean(values, axis=1)
+        if robust.over == "worst":
+            return jnp.max(values, axis=1)
+        count = values.shape[1]
+        left = np.clip(robust.tail * count - np.arange(count), 0.0, 1.0) / (robust.tail * count)
+        worst = -jnp.sort(-values, axis=1)
+        return jnp.einsum("ms...,s->m...", worst, jnp.asarray(left, values.dtype))
+
+    return Seen(
+        goals=jnp.mean(every.goals, axis=1),
+        limits=jnp.mean(every.limits, axis=1),
+        violation=risk(every.violation),
+        objective=risk(every.objective),
+        ok=jnp.all(every.ok, axis=1),
+    )
 
 
 def over_media(problem: Problem, objective: Array) -> Array:
@@ -173,8 +219,11 @@ def loss(problem: Problem, unit: Array, multipliers: Array, penalty: Array, sett
 # --- from a study to a problem ----------------------------------------------------------------------------------------
 
 
-def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None = None) -> Problem:
-    """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names."""
+def make_problem(
+    study: Study, where: str = "study", scene: diffeed.Scene | None = None, folder: Path | None = None
+) -> Problem:
+    """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names; files of
+    measured values count from `folder`."""
     try:
         base = diffeed.load_scene(study.scene) if scene is None else scene
     except diffeed.SceneError as error:
@@ -184,6 +233,7 @@ def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None
     scenes = {name: changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
     scenes = scenes or {"": base}
     problems += _variable_problems(study, base)
+    inputs = inputs_of(study.tolerances, {}, base, folder or Path(), problems)
     goals = tuple(resolved("objective", n, g, base, problems) for n, g in study.objective.items())
     limits = tuple(resolved("limits", n, g, base, problems) for n, g in study.limits.items())
     problems += _setting_problems(study)
@@ -203,6 +253,7 @@ def make_problem(study: Study, where: str = "study", scene: diffeed.Scene | None
         tuple(filter(None, goals)),
         tuple(filter(None, limits)),
         start,
+        inputs,
     )
 
 
@@ -235,6 +286,8 @@ def _setting_problems(study: Study) -> Iterator[str]:
 
     if study.method not in diffeed.METHODS:
         yield f'method must be one of {", ".join(diffeed.METHODS)}, but is "{study.method}"'
+    if study.robust.redraw and study.search.name == "lbfgs":
+        yield 'robust.redraw must be false for "lbfgs": its line search compares points'
     if study.search.name not in OPTIMISERS:
         known, near = ", ".join(OPTIMISERS), nearest(study.search.name, OPTIMISERS)
         yield f'search.name must be an optimiser of optax ({known}), but is "{study.search.name}"{near}'

@@ -3,50 +3,15 @@
 The records are checked by pydantic; what they mean for a scene is checked by `optimize.problem`.
 """
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-Positive = Annotated[float, Field(gt=0)]
-Nonnegative = Annotated[float, Field(ge=0)]
-Pair = tuple[float, float]
-
-
-class Record(BaseModel):
-    """Unknown keys are errors, infinities and NaN are errors, nothing changes after it was read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
-
-
-class Moved(Record):
-    """What one number moves: exactly one of `path`, `shift` and `turn` is given.
-
-    `path`: a number of the scene, or several that share one value (two rollers, one radius). `shift`: parts that move
-    together along `direction`, in mm from where they are drawn. `turn`: parts that turn together about `about`, in degrees.
-    """
-
-    path: str | list[str] | None = None
-    shift: list[str] | None = None
-    turn: list[str] | None = None
-    direction: Pair | None = None
-    about: Pair | None = None
-    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
-
-    @model_validator(mode="after")
-    def _one_meaning(self) -> "Moved":
-        given = [name for name in self.meanings if getattr(self, name)]
-        if len(given) != 1:
-            raise ValueError(f"exactly one of {', '.join(self.meanings)} must be given, but {len(given)} are")
-        if (self.direction is not None) != (given == ["shift"]):
-            raise ValueError("direction belongs to shift, and only there")
-        if (self.about is not None) != (given == ["turn"]):
-            raise ValueError("about (the point) belongs to turn, and only there")
-        return self
-
-    @property
-    def paths(self) -> list[str]:
-        """The paths, if that is what it moves."""
-        return [self.path] if isinstance(self.path, str) else list(self.path or ())
+from optimize.records import Limit as Limit
+from optimize.records import Measured as Measured
+from optimize.records import Moved as Moved
+from optimize.records import Nonnegative, Pair, Positive, Record
+from optimize.tolerance.records import Tolerance
 
 
 class Variable(Moved):
@@ -69,14 +34,6 @@ class Variable(Moved):
         return self
 
 
-class Measured(Record):
-    """A measure of a run: of which parts, and at which sensor."""
-
-    measure: str
-    of: str | list[str] | None = None
-    at: str | None = None
-
-
 class Goal(Measured):
     """One term of the objective: weight * ((measure - target)/scale)^2 with a target, weight * measure/scale without."""
 
@@ -85,26 +42,10 @@ class Goal(Measured):
     scale: Positive = 1.0
 
 
-class Limit(Measured):
-    """An inequality constraint on a measure. `scale` is the size of a violation that matters."""
-
-    at_least: float | None = None
-    at_most: float | None = None
-    scale: Positive = 1.0
-
-    @model_validator(mode="after")
-    def _a_limit(self) -> "Limit":
-        if self.at_least is None and self.at_most is None:
-            raise ValueError("at_least or at_most must be given")
-        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
-            raise ValueError(f"at_least must be below at_most, but {self.at_least:g} and {self.at_most:g} are given")
-        return self
-
-
 class Medium(Record):
     """Another sheet through the same machine: numbers of the scene by path."""
 
-    set: dict[str, Any] = {}
+    set: dict[str, Any] = Field(default_factory=dict)
     weight: Positive = 1.0
 
 
@@ -114,6 +55,20 @@ class Stage(Record):
     iterations: Annotated[int, Field(ge=1)]
     smoothing: Annotated[float, Field(ge=1)] = 1.0
     duration: Positive | None = None
+
+
+class Robust(Record):
+    """How a search sees tolerances: `samples` machines with their own deviations at every point, and of their objectives
+    (and of the shares by which limits are broken) the mean, the mean of the worst `tail` (CVaR), or the worst.
+
+    The same deviations in every iteration, or with `redraw` new ones.
+    """
+
+    samples: Annotated[int, Field(ge=1, le=1024)] = 16
+    over: Literal["mean", "worst", "cvar"] = "mean"
+    tail: Annotated[float, Field(gt=0, le=1)] = 0.25
+    redraw: bool = False
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
 
 
 class Search(Record):
@@ -134,7 +89,7 @@ class Search(Record):
     goal: float | None = None
     seconds: Positive | None = None
     penalty: Positive = 10.0
-    stages: list[Stage] = []
+    stages: list[Stage] = Field(default_factory=list)
 
 
 class Study(Record):
@@ -145,12 +100,14 @@ class Study(Record):
     dt: Positive = 5e-4
     frames: Annotated[int, Field(ge=2, le=100_001)] = 41
     method: str = "linear_euler"
-    set: dict[str, Any] = {}
+    set: dict[str, Any] = Field(default_factory=dict)
     variables: Annotated[dict[str, Variable], Field(min_length=1)]
     objective: Annotated[dict[str, Goal], Field(min_length=1)]
-    limits: dict[str, Limit] = {}
-    media: dict[str, Medium] = {}
+    limits: dict[str, Limit] = Field(default_factory=dict)
+    media: dict[str, Medium] = Field(default_factory=dict)
     over: Literal["mean", "worst", "cvar"] = "mean"
     tail: Annotated[float, Field(gt=0, le=1)] = 0.5
+    tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+    robust: Robust = Robust()
     search: Search = Search()
     title: str = ""

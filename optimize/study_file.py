@@ -10,11 +10,13 @@ from pydantic import BaseModel, ValidationError
 
 from diffeed.names import hint
 from optimize.asked import StudyError
-from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
+from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
+from optimize.tolerance.records import Tolerance
 
 MAX_BYTES = 1_000_000
 _RECORDS: dict[str, type[BaseModel]] = {
     "variables": Variable, "objective": Goal, "limits": Limit, "media": Medium, "search": Search, "stages": Stage,
+    "tolerances": Tolerance, "robust": Robust,
 }  # fmt: skip
 
 
@@ -25,9 +27,14 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     """
     where = os.fspath(name_or_path)
     table, _ = read_table(where)
-    if "tolerances" in table and "variables" not in table:
+    if is_tolerance(table):
         raise StudyError(["this is a tolerance study (it has tolerances, no variables)"], where)
     return make_study(table, where)
+
+
+def is_tolerance(table: dict[str, Any]) -> bool:
+    """Whether a table is a tolerance study: numbers scatter and none is searched for."""
+    return "tolerances" in table and "variables" not in table
 
 
 def read_table(where: str) -> tuple[dict[str, Any], Path]:
@@ -40,6 +47,11 @@ def read_table(where: str) -> tuple[dict[str, Any], Path]:
         beside = file.parent / scene
         table["scene"] = str(beside) if beside.is_file() else scene
     return table, file.parent
+
+
+def folder_of(where: str) -> Path:
+    """The folder of a study's file."""
+    return shipped_studies().get(where, Path(where)).parent
 
 
 def make_study(table: dict[str, Any], where: str = "study") -> Study:

@@ -13,7 +13,8 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from optimize.study import Moved, Variable
+from optimize.records import Moved
+from optimize.study import Variable
 
 PLACES = ("center", "start", "end")
 """Fields that say where a part stands."""

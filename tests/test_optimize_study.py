@@ -5,7 +5,7 @@ from stand_in_nip import nip
 
 import optimize
 from optimize.problem import make_problem
-from optimize.study_file import load_study, make_study, shipped_studies
+from optimize.study_file import is_tolerance, load_study, make_study, read_table, shipped_studies
 
 GOOD = {
     "scene": "film_feeder",
@@ -96,7 +96,7 @@ def test_a_file_that_is_none(tmp_path):
         load_study(broken)
 
 
-@pytest.mark.parametrize("name", sorted(shipped_studies()))
+@pytest.mark.parametrize("name", sorted(n for n in shipped_studies() if not is_tolerance(read_table(n)[0])))
 def test_shipped_studies_are_sound(name):
     study = load_study(name)
     assert study.title

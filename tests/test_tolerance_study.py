@@ -153,7 +153,7 @@ def test_resuming_a_truncated_study_gives_the_same_bits(rows, tmp_path):
         table.write_bytes(text[:keep])
         ran = []
         again = run_study(
-            problem(), here(problem(), 8), folder, resume=True, show=lambda done, failed, now: ran.append(now)
+            problem(), here(problem(), 8), folder, resume=True, show=lambda *told, ran=ran: ran.append(told[2])
         )
         assert same(again, rows), keep
         assert 0 < sum(ran) <= 24

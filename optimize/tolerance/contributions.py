@@ -10,7 +10,8 @@ from jax import Array
 
 from optimize.asked import values_of
 from optimize.tolerance.draws import deviations, groups
-from optimize.tolerance.problem import ToleranceProblem, rest_of, sampled
+from optimize.tolerance.moves import sampled
+from optimize.tolerance.problem import ToleranceProblem, rest_of
 from optimize.tolerance.run import run_of
 from optimize.tolerance.statistics import Indices, saltelli, sobol
 from optimize.tolerance.study import Runner, run_rows
@@ -34,7 +35,7 @@ def slopes(problem: ToleranceProblem, deviation: np.ndarray, tell: Callable[[int
     rest = rest_of(problem)
 
     def values(d: Array) -> Array:
-        scene = sampled(problem, problem.scene, d)
+        scene = sampled(problem.inputs, problem.scene, d)
         run = run_of(problem, scene, rest)
         return values_of(problem.asked, scene, run) * jnp.where(run.ok, 1.0, jnp.nan)
 

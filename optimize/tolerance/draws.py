@@ -15,9 +15,9 @@ import diffeed
 from diffeed.names import hint
 from optimize import variables as free
 from optimize.asked import shown
-from optimize.study import Moved
+from optimize.records import Moved
 from optimize.tolerance.media import CLIMATES, Card, MediaError, find
-from optimize.tolerance.records import Tolerance, ToleranceStudy
+from optimize.tolerance.records import Tolerance
 
 EDGE = 1e-12
 """Uniform numbers are kept this far from 0 and 1, whose normal deviates are infinite."""
@@ -75,12 +75,10 @@ def _deviate(given: Input) -> Any:
 # --- inputs -------------------------------------------------------------------------------------------------------------
 
 
-def inputs_of(
-    study: ToleranceStudy, scene: diffeed.Scene, folder: Path, problems: list[str]
-) -> tuple[tuple[Input, ...], dict[str, tuple[Card, float]]]:
-    """All inputs in the order of the study, and the media cards by sheet; what does not fit is added to `problems`."""
+def cards_of(media: dict[str, str], scene: diffeed.Scene, problems: list[str]) -> dict[str, tuple[Card, float]]:
+    """Card and climate by sheet; what does not fit is added to `problems`."""
     cards = {}
-    for sheet, name in study.media.items():
+    for sheet, name in media.items():
         try:
             if sheet not in scene.sheets:
                 raise MediaError(f'there is no sheet "{sheet}"{hint(sheet, scene.sheets)}')
@@ -88,8 +86,16 @@ def inputs_of(
             cards[sheet] = (card, CLIMATES[climate])
         except MediaError as error:
             problems.append(f"media.{sheet}: {error}")
+    return cards
+
+
+def inputs_of(
+    tolerances: dict[str, Tolerance], cards: dict[str, tuple[Card, float]], scene: diffeed.Scene, folder: Path,
+    problems: list[str],
+) -> tuple[Input, ...]:  # fmt: skip
+    """All inputs in the order of the tolerances; what does not fit is added to `problems`."""
     found = []
-    for name, of in study.tolerances.items():
+    for name, of in tolerances.items():
         before = len(problems)
         column = _column(f"tolerances.{name}", of, folder, problems) if of.kind == "data" else None
         for part, what in _targets(of):
@@ -97,7 +103,7 @@ def inputs_of(
             made = _input(label, of, what, column, scene, cards, problems)
             if made is not None and len(problems) == before:
                 found.append(made)
-    return tuple(found), cards
+    return tuple(found)
 
 
 def _targets(of: Tolerance) -> list[tuple[str | None, Moved]]:

@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 from pydantic import ValidationError
 
 import diffeed
 from diffeed.names import nearest
-from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, resolved
-from optimize.study import Limit, Measured
+from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence
 from optimize.tolerance import media
-from optimize.tolerance.draws import Input, inputs_of
+from optimize.tolerance.draws import Input, cards_of, inputs_of
 from optimize.tolerance.records import Axis, Latitude, Tolerance, ToleranceStudy
 
 RECORDS = {
@@ -89,7 +87,8 @@ def make_tolerance(
     except diffeed.SceneError as error:
         raise StudyError([f"scene: {p}" for p in error.problems], where) from None
     base = changed(base, study.set, "set", problems)
-    inputs, cards = inputs_of(study, base, folder or Path(), problems)
+    cards = cards_of(study.media, base, problems)
+    inputs = inputs_of(study.tolerances, cards, base, folder or Path(), problems)
     for sheet, (card, climate) in cards.items():
         base = media.apply(base, sheet, card, climate)
     measures = [resolved("measures", n, m, base, problems) for n, m in study.measures.items()]
@@ -138,28 +137,6 @@ def packed(problem: ToleranceProblem) -> dict[str, Any]:
 def unpacked(table: dict[str, Any]) -> ToleranceProblem:
     """The problem that was packed."""
     return make_tolerance(table["study"], scene=diffeed.read_scene(table["scene"]))
-
-
-def sampled(problem: ToleranceProblem, scene: diffeed.Scene, deviation: Array) -> diffeed.Scene:
-    """The scene with every input off by its deviation, (inputs,), which may be traced."""
-    for given, by in zip(problem.inputs, deviation, strict=True):
-        scene = _moved(scene, given, by)
-    return scene
-
-
-def _moved(scene: diffeed.Scene, given: Input, by: Array) -> diffeed.Scene:
-    if given.climate is not None:
-        sheet, card, base = given.climate
-        return media.move_climate(scene, sheet, card, base + by)
-    for path in given.what.paths:
-        old = diffeed.get(scene, path)
-        share = jnp.exp(by) if given.of.kind == "log_normal" else 1.0 + by
-        scene = diffeed.put(scene, path, old * share if given.share else old + by)
-    for part in given.what.shift or ():
-        scene = free.shifted(scene, part, given.what.direction, by)
-    for part in given.what.turn or ():
-        scene = free.turned(scene, part, given.what.about, by)
-    return scene
 
 
 def at_axis(problem: ToleranceProblem, scene: diffeed.Scene, axis: Axis, value: Array) -> diffeed.Scene:

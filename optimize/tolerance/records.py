@@ -4,7 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from optimize.study import Limit, Measured, Moved, Pair, Positive, Record
+from optimize.records import Limit, Measured, Moved, Pair, Positive, Record
 
 
 class Tolerance(Moved):

@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 import diffeed
 from diffeed import measures, tuning
 from optimize.asked import values_of, violations
-from optimize.tolerance.problem import ToleranceProblem, rest_of, sampled
+from optimize.tolerance.moves import sampled
+from optimize.tolerance.problem import ToleranceProblem, rest_of
 
 TOGETHER = 8
 """Samples that a processor core computes at once: more fall out of its cache (measured, see the README)."""
@@ -51,7 +52,7 @@ def run_of(
 
 def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[Array, ...]:
     """Status, reason, time, values and broken limits of one sample, as in `Rows`."""
-    scene = sampled(problem, problem.scene, deviation)
+    scene = sampled(problem.inputs, problem.scene, deviation)
     run = run_of(problem, scene, rest)
     found = measures.outcome(scene, run)
     values = values_of(problem.asked, scene, run)

@@ -1,0 +1,70 @@
+"""What studies of all kinds are made of: a record that knows its fields, what a number moves, a measure, a limit."""
+
+from typing import Annotated, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+Nonnegative = Annotated[float, Field(ge=0)]
+Pair = tuple[float, float]
+
+
+class Record(BaseModel):
+    """Unknown keys are errors, infinities and NaN are errors, nothing changes after it was read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+
+
+class Moved(Record):
+    """What one number moves: exactly one of `path`, `shift` and `turn` is given.
+
+    `path`: a number of the scene, or several that share one value (two rollers, one radius). `shift`: parts that move
+    together along `direction`, in mm from where they are drawn. `turn`: parts that turn together about `about`, in degrees.
+    """
+
+    path: str | list[str] | None = None
+    shift: list[str] | None = None
+    turn: list[str] | None = None
+    direction: Pair | None = None
+    about: Pair | None = None
+    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
+
+    @model_validator(mode="after")
+    def _one_meaning(self) -> "Moved":
+        given = [name for name in self.meanings if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(f"exactly one of {', '.join(self.meanings)} must be given, but {len(given)} are")
+        if (self.direction is not None) != (given == ["shift"]):
+            raise ValueError("direction belongs to shift, and only there")
+        if (self.about is not None) != (given == ["turn"]):
+            raise ValueError("about (the point) belongs to turn, and only there")
+        return self
+
+    @property
+    def paths(self) -> list[str]:
+        """The paths, if that is what it moves."""
+        return [self.path] if isinstance(self.path, str) else list(self.path or ())
+
+
+class Measured(Record):
+    """A measure of a run: of which parts, and at which sensor."""
+
+    measure: str
+    of: str | list[str] | None = None
+    at: str | None = None
+
+
+class Limit(Measured):
+    """An inequality constraint on a measure. `scale` is the size of a violation that matters."""
+
+    at_least: float | None = None
+    at_most: float | None = None
+    scale: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _a_limit(self) -> "Limit":
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("at_least or at_most must be given")
+        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
+            raise ValueError(f"at_least must be below at_most, but {self.at_least:g} and {self.at_most:g} are given")
+        return self

@@ -1,0 +1,84 @@
+"""Robust design: the search sees machines that scatter, and follows the mean, the tail or the worst of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from stand_in_nip import nip
+
+import optimize
+from optimize.evaluate import Evaluator
+from optimize.problem import Seen, Settings, _over_samples, make_problem
+
+
+@pytest.fixture(autouse=True)
+def _as_users_have_it():
+    """Optimisers of optax mix integer counts with floats."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+STUDY = {
+    "scene": "nip", "duration": 0.01, "frames": 5, "dt": 1e-3,
+    "variables": {"preload": {"path": "rollers.pinch.preload", "bounds": [1.0, 6.0]}},
+    "objective": {"force": {"measure": "nip_force", "of": "pinch", "target": 4.0}},
+    "tolerances": {"scatter": {"path": "rollers.pinch.preload", "sigma": 0.3}},
+    "robust": {"samples": 8},
+    "search": {"iterations": 25, "learning_rate": 0.1},
+}  # fmt: skip
+
+
+def problem(**changes):
+    return make_problem(optimize.make_study(STUDY | changes), scene=nip(initial="settled"))
+
+
+def test_risks_of_known_samples():
+    values = jnp.asarray([[1.0, 4.0, 2.0, 3.0]])
+    every = Seen(values[..., None], values[..., None], values[..., None], values, jnp.ones((1, 4), bool))
+
+    def risk(**robust):
+        return float(_over_samples(problem(robust={"samples": 4} | robust), every).objective[0])
+
+    assert risk(over="mean") == pytest.approx(2.5)
+    assert risk(over="worst") == pytest.approx(4.0)
+    assert risk(over="cvar", tail=0.5) == pytest.approx(3.5)
+    assert risk(over="cvar", tail=0.375) == pytest.approx((4.0 + 0.5 * 3.0) / 1.5)
+    assert float(_over_samples(problem(), every).goals[0, 0]) == pytest.approx(2.5)
+    broken = every._replace(ok=jnp.asarray([[True, False, True, True]]))
+    assert not bool(_over_samples(problem(), broken).ok[0])
+
+
+def test_the_expected_objective_has_the_variance_in_it():
+    """E (f + d - 4)^2 = (f - 4)^2 + Var d: the best preload is the same, its score is the scatter."""
+    study = problem()
+    result = optimize.design(study)
+    scatter = study.deviations()[:, 0]
+    assert result.after.values["preload"] + scatter.mean() == pytest.approx(4.0, abs=0.1)
+    assert result.after.objective == pytest.approx(np.var(scatter), abs=0.02)
+    assert result.progress.counts.gradients >= 25 * 8
+
+
+def test_draws_are_fixed_or_new_by_choice():
+    fixed, new = problem(), problem(robust={"samples": 8, "redraw": True})
+    assert np.array_equal(fixed.deviations(3), fixed.deviations(0))
+    assert not np.array_equal(new.deviations(3), new.deviations(0))
+    assert np.array_equal(new.deviations(3), new.deviations(3))
+    with pytest.raises(optimize.StudyError, match="redraw must be false"):
+        problem(robust={"redraw": True}, search={"name": "lbfgs"})
+    with pytest.raises(optimize.StudyError, match=r"tolerances.scatter.sigma must be greater than 0"):
+        problem(tolerances={"scatter": {"path": "rollers.pinch.preload", "sigma": -1}})
+
+
+def test_the_gradient_of_the_tail_is_that_of_differences():
+    study = problem(robust={"samples": 8, "over": "cvar", "tail": 0.3})
+    evaluator = Evaluator(study)
+    none = np.zeros((1, 1, 0))
+
+    def at(u):
+        return evaluator.gradients(np.array([[u]]), none, np.ones(1), Settings())
+
+    found, step = at(0.4), 1e-5
+    slope = (at(0.4 + step).value[0] - at(0.4 - step).value[0]) / (2 * step)
+    assert found.gradient[0, 0] == pytest.approx(slope, rel=1e-5)
+    mean = Evaluator(problem()).gradients(np.array([[0.4]]), none, np.ones(1), Settings())
+    assert found.value[0] > mean.value[0]
