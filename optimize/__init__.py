@@ -1,7 +1,8 @@
-"""optimize: the design loop on the gradients of diffeed.
+"""optimize: the design loop on the gradients of diffeed, and tolerance studies.
 
 import optimize
 result = optimize.design(optimize.load_study("nip_slip"))
+rows = optimize.run_study(optimize.load_tolerance("film_tolerances", samples=64))
 """
 
 from importlib import import_module
@@ -12,9 +13,13 @@ if TYPE_CHECKING:
     from optimize.blame import arising, blame
     from optimize.design import Result, design
     from optimize.problem import Problem, make_problem
-    from optimize.study import Goal, Limit, Medium, Search, Stage, Study, Variable
+    from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
     from optimize.study_file import load_study, make_study, shipped_studies
     from optimize.terms import TERMS
+    from optimize.tolerance.latitude import latitude
+    from optimize.tolerance.problem import ToleranceProblem, load_tolerance, make_tolerance
+    from optimize.tolerance.study import run_study
+    from optimize.tolerance.summary import summarise
     from optimize.trust import check_study
 
 _HOMES = {
@@ -22,9 +27,13 @@ _HOMES = {
     "blame": ("arising", "blame"),
     "design": ("Result", "design"),
     "problem": ("Problem", "make_problem"),
-    "study": ("Goal", "Limit", "Medium", "Search", "Stage", "Study", "Variable"),
+    "study": ("Goal", "Limit", "Medium", "Robust", "Search", "Stage", "Study", "Variable"),
     "study_file": ("load_study", "make_study", "shipped_studies"),
     "terms": ("TERMS",),
+    "tolerance.latitude": ("latitude",),
+    "tolerance.problem": ("ToleranceProblem", "load_tolerance", "make_tolerance"),
+    "tolerance.study": ("run_study",),
+    "tolerance.summary": ("summarise",),
     "trust": ("check_study",),
 }
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -36,19 +45,26 @@ __all__ = [
     "Medium",
     "Problem",
     "Result",
+    "Robust",
     "Search",
     "Stage",
     "Study",
     "StudyError",
+    "ToleranceProblem",
     "Variable",
     "arising",
     "blame",
     "check_study",
     "design",
+    "latitude",
     "load_study",
+    "load_tolerance",
     "make_problem",
     "make_study",
+    "make_tolerance",
+    "run_study",
     "shipped_studies",
+    "summarise",
 ]
 
 

@@ -172,6 +172,10 @@ VERDICTS = {
 @pytest.mark.parametrize("case", VERDICTS)
 def test_verdicts(case):
     scene, status, fragment = VERDICTS[case]
-    verdict = measures.verdict(scene, diffeed.simulate(scene, dt=2e-4, frames=51))
+    run = diffeed.simulate(scene, dt=2e-4, frames=51)
+    verdict = measures.verdict(scene, run)
+    found = measures.outcome(scene, run)
+    assert measures.STATUSES[int(found.status)] == status
+    assert verdict.time == (pytest.approx(float(found.time)) if np.isfinite(found.time) else None)
     assert verdict.status == status, verdict
     assert fragment in verdict.sentence()

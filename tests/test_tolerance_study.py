@@ -114,6 +114,7 @@ def test_a_sheet_that_fails_numerically_is_no_pass():
     assert ways["in all"]["count"] >= failed.sum()
 
 
+@pytest.mark.slow
 def test_slopes_are_those_of_differences(rows):
     at = np.zeros((1, 2))
     found = slopes(problem(), at)
@@ -246,6 +247,7 @@ assert len(jax.devices()) == 2
 # --- maps, replays, the command -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_latitude_tells_what_passes_and_by_what_margin():
     study = problem(
         latitude={"x": {"path": "sheets.strip.thickness", "range": [0.1, 0.3], "points": 3},

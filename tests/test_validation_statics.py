@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cases.reference import cantilever, chain_of, half_period, linearised, node_positions, reference, strip
 from scipy.optimize import brentq
+from stand_in_nip import nip
 
 import diffeed
 
@@ -334,3 +335,18 @@ def test_pushed_to_a_stop(ends: str) -> None:
 
     found = jax.jit(jax.vmap(force))(diffeed.stack(scenes))
     np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
+def test_a_search_from_a_near_rest_ends_at_the_same_rest_with_the_same_slope() -> None:
+    scene = nip(initial="settled")
+    near = diffeed.settle(scene)
+
+    def travel(preload, near=None):
+        return diffeed.settle(diffeed.put(scene, "rollers.pinch.preload", preload), near=near).travel[0]
+
+    assert float(travel(3.4, near)) == pytest.approx(float(travel(3.4)), rel=1e-10)
+    assert abs(float(travel(3.4)) - float(near.travel[0])) > 1e-5
+    assert float(jax.grad(travel)(3.4, near)) == pytest.approx(float(jax.grad(travel)(3.4)), rel=1e-9)
+    # Where it begins has no part in the answer.
+    slopes = jax.grad(travel, argnums=1, allow_int=True)(3.4, near)
+    assert max(float(np.max(np.abs(v), initial=0.0)) for v in jax.tree.leaves(slopes) if v.dtype.kind == "f") == 0.0
