@@ -129,7 +129,7 @@ def test_slopes_are_those_of_differences(rows):
 @pytest.mark.slow
 def test_sobol_indices_blame_the_preload():
     study = problem()
-    found = indices(study, 16, here(study, 16), None)[1]
+    found = indices(study, 64, here(study, 8), None)[1]
     assert found.first[0] == pytest.approx(1.0, abs=0.1)
     assert found.total[1] == pytest.approx(0.0, abs=0.05)
 
@@ -230,6 +230,7 @@ def test_two_devices_give_the_same_rows(rows, tmp_path):
     code = """
 import sys
 sys.path.insert(0, "tests")
+import jax
 jax.config.update("jax_enable_x64", True)
 from diffeed import tuning
 tuning.use_all_cores(); jax.config.update("jax_num_cpu_devices", 2)
