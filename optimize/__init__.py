@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from optimize.asked import StudyError
-    from optimize.blame import arising, blame
-    from optimize.design import Result, design
+    from optimize.blame_map import arising, blame
+    from optimize.design_run import Result, design
     from optimize.problem import Problem, make_problem
     from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
     from optimize.study_file import load_study, make_study, shipped_studies
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "asked": ("StudyError",),
-    "blame": ("arising", "blame"),
-    "design": ("Result", "design"),
+    "blame_map": ("arising", "blame"),
+    "design_run": ("Result", "design"),
     "problem": ("Problem", "make_problem"),
     "study": ("Goal", "Limit", "Medium", "Robust", "Search", "Stage", "Study", "Variable"),
     "study_file": ("load_study", "make_study", "shipped_studies"),

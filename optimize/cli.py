@@ -60,7 +60,7 @@ def design(
     if resume and out is None:
         raise Refusal("--resume needs --out, the folder of the search")
     problem = _problem(study, fuse, _changes(iterations, seconds))
-    from optimize.design import design as run
+    from optimize.design_run import design as run
     from optimize.journal import JournalError
     from optimize.report import print_result, write_result
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import diffeed
 from diffeed import plot, plot_style
-from optimize.blame import Arising, Blame, gain_of
+from optimize.blame_map import Arising, Blame, gain_of
 from optimize.variables import unit
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 import diffeed
 from diffeed import player
 from diffeed.terminal import plain_table
-from optimize.blame import arising, blame
-from optimize.design import Result, Scored, run_of
+from optimize.blame_map import arising, blame
+from optimize.design_run import Result, Scored, run_of
 from optimize.problem import SLACK
 from optimize.study import Goal, Limit
 

@@ -133,3 +133,15 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "diffeed":
                 names = {a.name for a in node.names} if node.module == "diffeed" else {node.module.split(".")[1]}
                 assert names <= offered | set(diffeed.__all__), (path, names)
+
+
+def test_no_module_hides_a_public_name():
+    """A submodule becomes an attribute of its package when anything imports it: it must not be called as a function is."""
+    import optimize
+
+    modules = {p.stem for p in (PACKAGE.parent / "optimize").iterdir()} - {"__init__", "__main__"}
+    assert not modules & set(optimize.__all__)
+    import diffeed
+
+    hidden = {p.stem for p in PACKAGE.iterdir()} & set(diffeed.__all__)
+    assert hidden <= {"measures"}  # the module itself is what is offered

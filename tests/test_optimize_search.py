@@ -10,7 +10,7 @@ from stand_in_nip import nip
 
 import optimize
 from optimize import descent, evaluate
-from optimize.design import design, finish
+from optimize.design_run import design, finish
 from optimize.evaluate import Evaluator
 from optimize.journal import Journal, JournalError, read_history
 from optimize.problem import Settings, make_problem, over_media

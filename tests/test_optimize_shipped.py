@@ -4,7 +4,7 @@ import pytest
 
 import diffeed
 from diffeed import measures
-from optimize.design import design
+from optimize.design_run import design
 from optimize.problem import make_problem
 from optimize.study_file import load_study
 

@@ -79,6 +79,7 @@ def test_a_known_share_breaks_its_limit():
     assert share["value"] > 0.05
 
 
+@pytest.mark.slow
 def test_a_known_share_jams():
     """A wall behind the nip: where the opening in it is out of the sheet's way, the sheet stands still."""
     scene = nip(initial="settled", speed=-200.0)
