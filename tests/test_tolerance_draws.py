@@ -6,7 +6,7 @@ from scipy import stats
 from stand_in_nip import nip
 
 from optimize.asked import StudyError
-from optimize.tolerance.draws import deviations, epsilons, uniforms
+from optimize.tolerance.draws import correlation, deviations, epsilons, uniforms
 from optimize.tolerance.problem import make_tolerance, packed, unpacked
 
 PINCH = {"path": "rollers.pinch.preload", "sigma": 0.1}
@@ -141,3 +141,28 @@ def test_a_media_card_comes_into_the_scene_and_its_climate_may_scatter():
     study = problem(media={"strip": "copy_paper_80/humid"}, tolerances={"air": {"climate": "strip", "sigma": 0.3}})
     assert float(study.scene.sheets["strip"].thickness) == pytest.approx(0.1, abs=0.02)
     assert study.inputs[0].climate[2] == 1.0
+
+
+def test_a_card_comes_before_what_scatters_about_it(tmp_path):
+    (tmp_path / "sheets.csv").write_text("caliper\n0.10\n0.11\n")
+    spec = {"path": "sheets.strip.thickness", "kind": "data", "file": "sheets.csv", "column": "caliper"}
+    changes = {"media": {"strip": "copy_paper_80"}, "tolerances": {"caliper": spec}}
+    study = make_tolerance(BASE | changes, folder=tmp_path, scene=nip())
+    assert study.inputs[0].nominal == pytest.approx(float(study.scene.sheets["strip"].thickness))
+    found = drawn(study, 64)[:, 0] + float(study.scene.sheets["strip"].thickness)
+    assert found.min() >= 0.10
+    assert found.max() <= 0.11
+
+
+def test_measured_values_that_are_tied_stay_so_on_another_machine(tmp_path):
+    (tmp_path / "rollers.csv").write_text("radius\n4.9\n5.1\n")
+    both = {"path": ["rollers.drive.radius", "rollers.pinch.radius"], "tied": True}
+    spec = both | {"kind": "data", "file": "rollers.csv", "column": "radius"}
+    study = make_tolerance(BASE | {"tolerances": {"radius": spec}}, folder=tmp_path, scene=nip())
+    assert [i.name for i in unpacked(packed(study)).inputs] == ["radius"]
+
+
+def test_the_correlation_that_is_stated_is_the_one_that_is_drawn():
+    rubber = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "sigma": 0.05, "group": "batch"}
+    study = problem(tolerances={"rubber": rubber | {"correlation": 0.6}, "preload": PINCH})
+    assert correlation(study.inputs) == pytest.approx(np.array([[1.0, 0.6, 0.0], [0.6, 1.0, 0.0], [0.0, 0.0, 1.0]]))

@@ -321,3 +321,28 @@ def test_yield_slope_that_is_not_known():
     assert np.isnan(statistics.yield_slope(passed, 0.5 * eps, "uniform", 1.0)).all()  # nothing at the edges
     for family in ("normal", "uniform"):
         assert statistics.yield_slope(np.ones(101, bool), eps, family, 1.0) == (0.0, 0.0)
+
+
+def test_inputs_that_are_drawn_together_share_what_they_share():
+    """Var(x + 2 y) = 1 + 4 + 4 rho for unit normals: x has 1 + 2 rho of it, y the rest."""
+    rho, rng = 0.6, np.random.default_rng(0)
+    r = np.array([[1.0, rho], [rho, 1.0]])
+    found = statistics.linear_shares([1.0, 2.0], [1.0, 1.0], r)
+    assert found.variance == pytest.approx(5.0 + 4.0 * rho)
+    assert found.shares == pytest.approx(np.array([1.0 + 2.0 * rho, 4.0 + 2.0 * rho]) / (5.0 + 4.0 * rho))
+    z = rng.multivariate_normal([0.0, 0.0], r, 40_000)
+    seen = statistics.regression_shares(z, z @ [1.0, 2.0], r)
+    assert seen.shares == pytest.approx(found.shares, abs=0.01)
+    assert seen.explained == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8, 1.0])
+def test_slope_of_a_group_is_that_of_its_sum(rho):
+    """Pass if |x + y| < L with both of scale s: the sum has deviation s sqrt(2 + 2 rho), so s dP/ds = -2 u phi(u)."""
+    rng, limit = np.random.default_rng(1), 1.5
+    r = np.array([[1.0, rho], [rho, 1.0]])
+    eps = rng.multivariate_normal([0.0, 0.0], r, 200_000)
+    u = limit / np.sqrt(2.0 + 2.0 * rho)
+    found = statistics.normal_slope(np.abs(eps.sum(axis=1)) < limit, eps, r, [0, 1])
+    assert found.value == pytest.approx(-2.0 * u * stats.norm.pdf(u), abs=4.0 * found.error)
+    assert found.error < 0.01

@@ -15,12 +15,12 @@ from test_optimize_cli import ROOT
 import diffeed
 from diffeed import measures
 from optimize.asked import StudyError
-from optimize.tolerance.contributions import indices, slopes
+from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import Folder, FolderError, read_rows
 from optimize.tolerance.latitude import latitude
 from optimize.tolerance.problem import load_tolerance, make_tolerance
 from optimize.tolerance.replay import replay
-from optimize.tolerance.study import here, run_study
+from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise
 
 STUDY = {
@@ -148,7 +148,7 @@ def test_rows_do_not_depend_on_the_chunk(rows):
 def test_resuming_a_truncated_study_gives_the_same_bits(rows, tmp_path):
     folder = tmp_path / "made"
     assert same(run_study(problem(), here(problem(), 8), folder), rows)
-    assert same(read_rows(folder, problem()), rows)
+    assert same(read_rows(folder, problem(), drawn(problem())), rows)
     table = folder / "samples.csv"
     text = table.read_bytes()
     for keep in (len(text) // 2, len(text) - 3, 40, 0):
@@ -162,6 +162,33 @@ def test_resuming_a_truncated_study_gives_the_same_bits(rows, tmp_path):
         assert table.read_bytes() == text
     more = run_study(problem(samples=32), here(problem(), 8), folder, resume=True)
     assert same((v[:24] for v in more), rows)
+
+
+def test_only_rows_of_the_numbers_that_are_asked_for_are_kept(rows, tmp_path):
+    """The runs of 2 Sobol points and those of 4 have the same numbers, and other deviations."""
+    study = problem()
+    run_study(study, here(study, 8), tmp_path / "made")
+    first = rows.deviation[:6]
+    found = run_rows(study, first, here(study, 8), Folder(tmp_path / "made", study, "indices"), resume=True)
+    assert np.array_equal(found.deviation, first)
+    other = rows.deviation[10:18]
+    again = run_rows(study, other, here(study, 8), Folder(tmp_path / "made", study, "indices"), resume=True)
+    assert np.array_equal(again.deviation, other)
+    assert np.array_equal(again.values, rows.values[10:18])
+
+
+def test_an_earlier_study_is_compared_sample_by_sample(rows, tmp_path):
+    run_study(problem(), here(problem(), 8), tmp_path / "made")
+    fewer = problem(samples=10)
+    assert same(read_rows(tmp_path / "made", fewer, drawn(fewer)), [v[:10] for v in rows])
+    with pytest.raises(FolderError, match="drew other deviations"):
+        read_rows(tmp_path / "made", problem(seed=1), drawn(problem(seed=1)))
+
+
+def test_indices_of_a_group_are_refused_before_anything_is_run():
+    rubber = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "sigma": 0.01, "group": "batch"}
+    with pytest.raises(ValueError, match="draws groups together: batch"):
+        refuse_groups(problem(tolerances={"rubber": rubber}))
 
 
 def test_a_folder_belongs_to_one_study(rows, tmp_path):

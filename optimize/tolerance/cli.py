@@ -126,10 +126,13 @@ def _run(
     from optimize.tolerance import contributions
     from optimize.tolerance.folder import Folder, read_rows
     from optimize.tolerance.report import print_summary, write_result
-    from optimize.tolerance.study import run_study
-    from optimize.tolerance.summary import summarise
+    from optimize.tolerance.study import drawn, run_study
+    from optimize.tolerance.summary import fails, summarise
 
-    was = read_rows(before, problem) if before else None
+    was = read_rows(before, problem, drawn(problem)) if before else None
+    if indices:
+        with refusing(ValueError):
+            contributions.refuse_groups(problem)
     with _runner(problem, chunk, workers, scheduler) as runner:
         with _bar(problem.study.samples, "samples") as show:
             rows = run_study(problem, runner, out, resume, force, show)
@@ -137,7 +140,7 @@ def _run(
         if indices:
             total = indices * (len(problem.inputs) + 2)
             folder = Folder(out, problem, "indices") if out else None
-            with refusing(ValueError), _bar(total, "runs for indices") as show:
+            with _bar(total, "runs for indices") as show:
                 found = contributions.indices(problem, indices, runner, folder, resume=resume, show=show)
     slopes = None
     if gradients:
@@ -145,7 +148,7 @@ def _run(
         click.echo(f"gradients at {count} samples", err=True)
         slopes = contributions.slopes(problem, rows.deviation[:count])
     summary = summarise(problem, rows, slopes, found)
-    print_summary(console(), summary, summarise(problem, was) if was else None)
+    print_summary(console(), summary, fails(problem, was) if was else None)
     if out:
         with refusing(OSError):
             names = write_result(out, problem, rows, summary, not no_pictures, was)

@@ -1,6 +1,5 @@
 """How much each tolerance moves a measure: by gradients at the samples, and by Sobol indices from runs of their own."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +26,7 @@ class Slopes(NamedTuple):
     samples: np.ndarray
 
 
-def slopes(problem: ToleranceProblem, deviation: np.ndarray, tell: Callable[[int], None] | None = None) -> Slopes:
+def slopes(problem: ToleranceProblem, deviation: np.ndarray) -> Slopes:
     """One gradient of every measure and limit at each of the given samples, (n, inputs), and at the nominal scene.
 
     NaN where a run fails, or where a measure has no slope (a sheet that never arrives).
@@ -42,23 +41,25 @@ def slopes(problem: ToleranceProblem, deviation: np.ndarray, tell: Callable[[int
     # One measure at a time, which one being a traced number: a single program for all of them.
     gradient = jax.jit(lambda d, which: jax.lax.map(jax.grad(lambda x: values(x)[which]), d, batch_size=TOGETHER))
     points = np.concatenate([np.zeros((1, deviation.shape[1])), deviation])
-    found = []
-    for k in range(len(problem.asked)):
-        found.append(np.asarray(gradient(jnp.asarray(points), k)))
-        if tell:
-            tell(k + 1)
-    whole = np.stack(found, axis=1)
+    whole = np.stack([np.asarray(gradient(jnp.asarray(points), k)) for k in range(len(problem.asked))], axis=1)
     return Slopes(whole[0], whole[1:])
+
+
+def refuse_groups(problem: ToleranceProblem) -> None:
+    """ValueError for a study whose Sobol indices mean nothing: numbers of a group are not independent."""
+    if named := groups(problem.inputs):
+        raise ValueError(
+            f"Sobol indices need independent inputs, but this study draws groups together: {', '.join(named)}"
+        )
 
 
 def indices(problem: ToleranceProblem, count: int, runner: Runner | None, folder: Any, **how: Any) -> list[Indices]:
     """Sobol indices of every measure and limit, with intervals: count * (inputs + 2) runs of their own.
 
-    The inputs must be independent: a study with correlated groups is refused with ValueError. A failed run has no value; it
+    The inputs must be independent (`refuse_groups`). A failed run has no value; it
     takes the mean of the others, which draws the indices towards zero.
     """
-    if groups(problem.inputs):
-        raise ValueError("Sobol indices need independent inputs, but this study draws groups together")
+    refuse_groups(problem)
     d = len(problem.inputs)
     a, b, ab = saltelli(count, d, problem.study.seed)
     u = np.concatenate([a, b, ab.reshape(-1, d)])
@@ -67,7 +68,7 @@ def indices(problem: ToleranceProblem, count: int, runner: Runner | None, folder
     for k in range(len(problem.asked)):
         values = rows.values[:, k]
         fine = np.isfinite(values)
-        values = np.where(fine, values, np.mean(values[fine]) if fine.any() else 0.0)
+        values = np.where(fine, values, np.mean(values[fine]) if fine.any() else np.nan)
         f_a, f_b, f_ab = values[:count], values[count : 2 * count], values[2 * count :].reshape(d, count)
         found.append(sobol(f_a, f_b, f_ab, problem.study.seed))
     return found

@@ -215,6 +215,15 @@ def deviates(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
     return own
 
 
+def correlation(inputs: tuple[Input, ...]) -> np.ndarray:
+    """(inputs, inputs) of the normal numbers behind the inputs: within a group the root of both members' `correlation`."""
+    loads = np.array([np.sqrt(i.of.correlation) if i.of.group else 0.0 for i in inputs])
+    together = np.array([[a.of.group is not None and a.of.group == b.of.group for b in inputs] for a in inputs])
+    found = np.where(together, np.outer(loads, loads), 0.0)
+    np.fill_diagonal(found, 1.0)
+    return found
+
+
 def epsilons(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
     """(samples, inputs) standard deviates: value = nominal + offset + scale * epsilon. NaN for measured values."""
     found = deviates(inputs, u)

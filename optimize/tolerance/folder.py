@@ -15,7 +15,7 @@ import numpy as np
 
 from diffeed import measures
 from optimize.tolerance.problem import ToleranceProblem
-from optimize.tolerance.run import Rows, joined
+from optimize.tolerance.run import Rows, chosen, joined
 
 MARK, LOCK = "study.json", ".lock"
 FIXED = ("sample", "status", "reason", "time")
@@ -47,7 +47,7 @@ class Folder:
             if mark.exists():
                 self._lock()
             if resume or (self.table.name != "samples.csv" and not force):
-                self._same_study(mark, resume)
+                self._same_study(mark)
             elif mark.exists() and not force:
                 raise FolderError(
                     f"{self.place} already holds a study; add --resume to go on with it, --force to replace it, or name "
@@ -129,7 +129,7 @@ class Folder:
         broken = ["1" if b else "0" for b in rows.broken[k]]
         return [*head, *(repr(float(v)) for v in numbers), *broken, *(repr(float(v)) for v in rows.deviation[k])]
 
-    def _same_study(self, mark: Path, resume: bool) -> None:
+    def _same_study(self, mark: Path) -> None:
         if not mark.exists():
             raise FolderError(f"{self.place} holds no study to resume")
         try:
@@ -170,8 +170,9 @@ class Folder:
         )  # fmt: skip
 
 
-def read_rows(place: Path, problem: ToleranceProblem) -> Rows:
-    """The rows of a finished study of the same inputs and measures, to compare with. Raises FolderError."""
+def read_rows(place: Path, problem: ToleranceProblem, deviation: np.ndarray) -> Rows:
+    """The rows of an earlier study of the same inputs and measures, to compare with: those of the samples 0 to n that drew
+    the same deviations (n, inputs). Raises FolderError."""
     folder = Folder(place, problem)
     if not folder.table.exists():
         raise FolderError(f"{place} holds no study to compare with")
@@ -179,9 +180,14 @@ def read_rows(place: Path, problem: ToleranceProblem) -> Rows:
         rows = folder.rows()
     except OSError as error:
         raise FolderError(f"{folder.table} cannot be read: {error.strerror or error}") from error
-    if rows is None:
-        raise FolderError(f"{folder.table} holds no samples")
-    return rows
+    kept = None if rows is None else chosen(rows, rows.sample < len(deviation))
+    if kept is None or not len(kept.sample):
+        raise FolderError(f"{folder.table} holds none of the samples 0 to {len(deviation) - 1}")
+    # A number that was measured is drawn as itself: its deviation is from another nominal value.
+    drawn = [k for k, given in enumerate(problem.inputs) if given.column is None]
+    if not np.allclose(kept.deviation[:, drawn], deviation[kept.sample][:, drawn], rtol=1e-9, atol=1e-12):
+        raise FolderError(f"{place} drew other deviations: compare studies of the same tolerances, sampling and seed")
+    return kept
 
 
 def _line(words: list[str]) -> str:

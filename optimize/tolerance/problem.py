@@ -88,9 +88,9 @@ def make_tolerance(
         raise StudyError([f"scene: {p}" for p in error.problems], where) from None
     base = changed(base, study.set, "set", problems)
     cards = cards_of(study.media, base, problems)
-    inputs = inputs_of(study.tolerances, cards, base, folder or Path(), problems)
     for sheet, (card, climate) in cards.items():
         base = media.apply(base, sheet, card, climate)
+    inputs = inputs_of(study.tolerances, cards, base, folder or Path(), problems)  # about the values of the card
     measures = [resolved("measures", n, m, base, problems) for n, m in study.measures.items()]
     limits = [resolved("limits", n, m, base, problems) for n, m in study.limits.items()]
     if study.latitude is not None:
@@ -128,9 +128,10 @@ def _axis_problems(where: str, axis: Axis, scene: diffeed.Scene, cards: dict[str
 def packed(problem: ToleranceProblem) -> dict[str, Any]:
     """Plain values from which `unpacked` makes the same problem on another machine: files are left behind."""
     table = problem.study.model_dump(mode="json", exclude_none=True)
-    for name in table["tolerances"]:
-        if table["tolerances"][name]["kind"] == "data":  # deviations are drawn at home
-            table["tolerances"][name] = {"path": table["tolerances"][name]["path"], "sigma": 1.0}
+    for tolerance in table["tolerances"].values():
+        if tolerance["kind"] == "data":  # deviations are drawn at home: any family will do
+            del tolerance["file"], tolerance["column"]
+            tolerance |= {"kind": "normal", "sigma": 1.0}
     return {"study": table, "scene": diffeed.scene_text(problem.scene)}
 
 
@@ -148,11 +149,6 @@ def at_axis(problem: ToleranceProblem, scene: diffeed.Scene, axis: Axis, value: 
     return scene
 
 
-def is_settled(scene: diffeed.Scene) -> bool:
-    """Whether runs of a scene start from rest."""
-    return scene.initial == "settled"
-
-
 def rest_of(problem: ToleranceProblem) -> Any:
     """The rest state of the nominal scene: samples begin their own search for rest there. None if none is wanted."""
-    return jax.block_until_ready(diffeed.settle(problem.scene)) if is_settled(problem.scene) else None
+    return jax.block_until_ready(diffeed.settle(problem.scene)) if problem.scene.initial == "settled" else None

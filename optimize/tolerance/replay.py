@@ -6,10 +6,10 @@ import jax.numpy as jnp
 
 import diffeed
 from diffeed import measures, player
-from optimize.tolerance.draws import deviations, uniforms
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
 from optimize.tolerance.run import run_of
+from optimize.tolerance.study import drawn
 
 
 def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
@@ -17,8 +17,7 @@ def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
     study = problem.study
     if not 0 <= sample < study.samples:
         raise ValueError(f"the study has samples 0 to {study.samples - 1}, but {sample} is asked for")
-    drawn = uniforms(problem.inputs, study.sampling, study.samples, study.seed)[sample : sample + 1]
-    return sampled(problem.inputs, problem.scene, jnp.asarray(deviations(problem.inputs, drawn)[0]))
+    return sampled(problem.inputs, problem.scene, jnp.asarray(drawn(problem)[sample]))
 
 
 def replay(problem: ToleranceProblem, sample: int, folder: Path) -> tuple[Path, str]:

@@ -27,7 +27,7 @@ MOST = 12
 
 
 def print_summary(console: "Console", summary: dict[str, Any], before: dict[str, Any] | None = None) -> None:
-    """Ways to fail, measures, what is to blame, what to tighten."""
+    """Ways to fail (beside those of an earlier study, `before`), measures, what is to blame, what to tighten."""
     console.print(
         f"{summary['title'] or 'tolerance study'}: {summary['samples']} samples, {summary['sampling']}\n", style="bold"
     )
@@ -35,7 +35,7 @@ def print_summary(console: "Console", summary: dict[str, Any], before: dict[str,
         "does not pass", "samples", "share", "95 % interval", *(["before"] if before else []), "for example"
     )
     for name, way in summary["fails"].items():
-        was = [_percent(before["fails"][name]["value"]) if name in before["fails"] else "-"] if before else []
+        was = [_percent(before[name]["value"]) if name in before else "-"] if before else []
         some = ", ".join(map(str, way["samples"]))
         interval = f"{_percent(way['low'])} to {_percent(way['high'])}"
         table.add_row(name, str(way["count"]), _percent(way["value"]), interval, *was, some)

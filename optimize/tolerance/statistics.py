@@ -150,12 +150,13 @@ def convergence(failed: Any, level: float = 0.95) -> Convergence:
     return Convergence(counts, *np.array([proportion(int(total[c - 1]), int(c), level) for c in counts]).T)
 
 
-def regression_shares(z: Any, y: Any) -> Shares:
-    """Each input's share of Var(y), z (n, d) and y (n,): the squared standardised coefficients of a linear regression.
+def regression_shares(z: Any, y: Any, correlation: Any = None) -> Shares:
+    """Each input's share of Var(y), z (n, d) and y (n,), by linear regression.
 
-    With y = c + b z and independent inputs, Var(y) = sum (b_i s_i)^2 + what the fit leaves over (Saltelli et al. 2008,
-    Global Sensitivity Analysis, 1.2.5). Runs with values that are not finite are left out; nan unless more than d + 1
-    remain; zeros, and R^2 nan, for a constant y.
+    With y = c + b z, Var(y) = sum_i (b_i s_i) sum_j R_ij (b_j s_j) + what the fit leaves over: the squared standardised
+    coefficients for independent inputs (Saltelli et al. 2008, Global Sensitivity Analysis, 1.2.5); with their `correlation`
+    R (d, d), an input has its own part and half of what it shares with each of the others. Runs with values that are not
+    finite are left out; nan unless more than d + 1 remain; zeros, and R^2 nan, for a constant y.
     """
     z, y = np.asarray(z, dtype=float), np.asarray(y, dtype=float)
     kept = np.isfinite(y) & np.isfinite(z).all(axis=1)
@@ -170,13 +171,13 @@ def regression_shares(z: Any, y: Any) -> Shares:
     z = z / np.where(spread > 0.0, spread, 1.0)  # alike in size, whatever their units; an input that is fixed stays 0
     slope, *_ = np.linalg.lstsq(z, y)
     variance = np.mean(y**2)
-    return Shares(slope**2 / variance, float(1.0 - np.mean((y - z @ slope) ** 2) / variance))
+    return Shares(_parts(slope, correlation) / variance, float(1.0 - np.mean((y - z @ slope) ** 2) / variance))
 
 
-def linear_shares(gradient: Any, sigma: Any) -> Variance:
-    """First-order variance sum (g_i s_i)^2 from the gradient (d,) and the inputs' deviations (d,), and each one's share;
-    the inputs are independent. Shares are zero where the variance is."""
-    parts = (np.asarray(gradient, dtype=float) * np.asarray(sigma, dtype=float)) ** 2
+def linear_shares(gradient: Any, sigma: Any, correlation: Any = None) -> Variance:
+    """First-order variance sum_ij (g_i s_i) R_ij (g_j s_j) from the gradient (d,), the inputs' deviations (d,) and their
+    `correlation` (none if not given), and each one's share. Shares are zero where the variance is."""
+    parts = _parts(np.asarray(gradient, dtype=float) * np.asarray(sigma, dtype=float), correlation)
     return Variance(float(parts.sum()), _share(parts))
 
 
@@ -193,6 +194,11 @@ def derivative_measure(gradients: Any, sigma: Any) -> DerivativeMeasure:
         return DerivativeMeasure(nothing, nothing)
     value = np.asarray(sigma, dtype=float) ** 2 * np.mean(gradients**2, axis=0)
     return DerivativeMeasure(value, _share(value))
+
+
+def _parts(effect: np.ndarray, correlation: Any) -> np.ndarray:
+    """(d,) what each input adds to the variance, its effect being slope times deviation."""
+    return effect**2 if correlation is None else effect * (np.asarray(correlation, dtype=float) @ effect)
 
 
 def _share(parts: np.ndarray) -> np.ndarray:
@@ -246,11 +252,25 @@ def sobol(f_a: Any, f_b: Any, f_ab: Any, seed: int, level: float = 0.95) -> Indi
     return Indices(first, first_low, first_high, total, total_low, total_high)
 
 
+def normal_slope(passed: Any, epsilon: Any, correlation: Any, members: Any) -> Slope:
+    """s dP(pass)/ds for the common scale s of some of the normal inputs, epsilon (n, d) with `correlation` R (d, d).
+
+    The density of x = s eps has d log p/d log s_i = eps_i (R^-1 eps)_i - 1, summed over the `members`; its mean is 0, so that
+    h - E[h] serves as well as h and scatters less. Where R is singular (inputs that are one) its pseudo-inverse serves.
+    """
+    h, eps, r = (np.asarray(v, dtype=float) for v in (passed, epsilon, correlation))
+    if h.size < 2:
+        return Slope(math.nan, math.nan)
+    inverse = np.linalg.pinv(r, hermitian=True)
+    score = eps * (eps @ inverse) - np.diag(inverse @ r)
+    terms = (h - h.mean()) * score[:, members].sum(axis=1)
+    return Slope(float(terms.mean()), float(stats.sem(terms)))
+
+
 def yield_slope(passed: Any, epsilon: Any, family: str, scale: float) -> Slope:
     """d P(pass)/d scale from the same runs, passed (n,) at epsilon (n,), for an input x = nominal + scale epsilon.
 
-    "normal" (scale: sigma): the density of x is phi(eps)/s and d log(phi(eps)/s)/ds = (eps^2 - 1)/s, so that
-    dP/ds = E[h (eps^2 - 1)]/s, h = 1 for a pass; as E[eps^2 - 1] = 0, h - E[h] serves as well and scatters less.
+    "normal" (scale: sigma): see `normal_slope`.
     "uniform" (scale: half width, |eps| <= 1): P = (1/2s) int_-s^s h dt, so dP/ds = (-E[h] + (E[h|1] + E[h|-1])/2)/s,
     with the edges' values from |eps| > 1 - EDGE (a bias, not in `error`, if h changes there), and E[h] as the mean of the
     edges and the middle M, weighted by their known probabilities: (1 - EDGE) ((E[h|1] + E[h|-1])/2 - E[h|M])/s.
@@ -261,9 +281,9 @@ def yield_slope(passed: Any, epsilon: Any, family: str, scale: float) -> Slope:
     h, eps = np.asarray(passed, dtype=float), np.asarray(epsilon, dtype=float)
     if not scale > 0.0:
         return Slope(math.nan, math.nan)
-    if family == "normal" and h.size > 1:
-        terms = (h - h.mean()) * (eps**2 - 1.0) / scale
-        return Slope(float(terms.mean()), float(stats.sem(terms)))
+    if family == "normal":
+        found = normal_slope(h, eps[:, None], np.ones((1, 1)), [0])
+        return Slope(found.value / scale, found.error / scale)
     if family == "uniform":
         left, right = eps < EDGE - 1.0, eps > 1.0 - EDGE
         bands = [h[left], h[right], h[~left & ~right]]

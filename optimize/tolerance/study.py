@@ -8,7 +8,7 @@ import numpy as np
 from optimize.tolerance.draws import deviations, uniforms
 from optimize.tolerance.folder import Folder
 from optimize.tolerance.problem import ToleranceProblem
-from optimize.tolerance.run import Evaluator, Rows, chunks, joined
+from optimize.tolerance.run import Evaluator, Rows, chosen, chunks, joined
 
 Show = Callable[[int, int, int], None]
 """Told after every chunk: samples done in all, how many of these did not pass, samples run just now."""
@@ -33,6 +33,12 @@ def here(problem: ToleranceProblem, chunk: int | None = None) -> Runner:
     return run
 
 
+def drawn(problem: ToleranceProblem) -> np.ndarray:
+    """(samples, inputs) the deviations of all samples."""
+    study = problem.study
+    return deviations(problem.inputs, uniforms(problem.inputs, study.sampling, study.samples, study.seed))
+
+
 def run_study(
     problem: ToleranceProblem,
     runner: Runner | None = None,
@@ -42,9 +48,7 @@ def run_study(
     show: Show | None = None,
 ) -> Rows:
     """All samples of a study, in their order. With `out`, rows are on disk as they come and `resume` goes on with them."""
-    study = problem.study
-    drawn = deviations(problem.inputs, uniforms(problem.inputs, study.sampling, study.samples, study.seed))
-    return run_rows(problem, drawn, runner, Folder(out, problem) if out else None, resume, force, show)
+    return run_rows(problem, drawn(problem), runner, Folder(out, problem) if out else None, resume, force, show)
 
 
 def run_rows(
@@ -60,9 +64,12 @@ def run_rows(
     done = folder.start(resume, force) if folder else None
     parts: list[Rows] = []
     if done is not None:
-        kept = Rows(*(v[done.sample < len(deviation)] for v in done))
+        # Only rows of the very numbers that are asked for: other runs of indices number theirs alike.
+        known = done.sample < len(deviation)
+        known[known] = (done.deviation[known] == deviation[done.sample[known]]).all(axis=1)
+        kept = chosen(done, known)
         _, first = np.unique(kept.sample, return_index=True)
-        parts.append(Rows(*(v[first] for v in kept)))
+        parts.append(chosen(kept, first))
     there = parts[0].sample if parts else np.zeros(0, int)
     left = np.setdiff1d(np.arange(len(deviation)), there)
     total, failed = len(there), int(np.sum(~parts[0].passed)) if parts else 0

@@ -7,7 +7,7 @@ import numpy as np
 from diffeed import measures
 from optimize.asked import Asked
 from optimize.tolerance.contributions import Slopes
-from optimize.tolerance.draws import epsilons, uniforms
+from optimize.tolerance.draws import correlation, epsilons, uniforms
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
 from optimize.tolerance.statistics import (
@@ -15,6 +15,7 @@ from optimize.tolerance.statistics import (
     capability,
     derivative_measure,
     linear_shares,
+    normal_slope,
     percentile,
     proportion,
     regression_shares,
@@ -23,6 +24,8 @@ from optimize.tolerance.statistics import (
 
 TIGHTER = 0.1
 """Share by which a tolerance is made tighter in the table of what that would bring."""
+NORMAL = ("normal", "log_normal")
+"""Kinds whose deviates are normal numbers."""
 SHOWN = 5
 """Samples named for each way to fail."""
 
@@ -98,7 +101,8 @@ def _blame(
 ) -> dict[str, Any]:
     """Shares of the variance of a measure, (inputs,) each, and how much of it a straight line explains."""
     fine = np.isfinite(rows.values[:, k])
-    straight = regression_shares(rows.deviation[fine], rows.values[fine, k])
+    linked = correlation(problem.inputs)
+    straight = regression_shares(rows.deviation[fine], rows.values[fine, k], linked)
     sigma = np.array([i.sigma for i in problem.inputs])
     found: dict[str, Any] = {
         "std": float(np.std(rows.values[fine, k], ddof=1)) if fine.sum() > 1 else None,
@@ -106,7 +110,7 @@ def _blame(
         "explained": straight.explained,
     }
     if slopes is not None:
-        first = linear_shares(slopes.nominal[k], sigma)
+        first = linear_shares(slopes.nominal[k], sigma, linked)
         found |= {"first order": first.shares, "first order std": float(np.sqrt(first.variance))}
         found |= {"derivative based": derivative_measure(slopes.samples[:, k], sigma).shares}
         found |= {"gradients": int(np.isfinite(slopes.samples[:, k]).all(axis=1).sum())}
@@ -117,24 +121,24 @@ def _blame(
 
 def tighten(problem: ToleranceProblem, rows: Rows) -> dict[str, Any]:
     """What making each tolerance 10 % tighter brings: more samples that pass (a share), its standard error, and the gain for
-    the cost. A study's tolerance of several parts is tightened for all of them."""
+    the cost. A tolerance of several parts is tightened for all of them. None where the family has no estimate."""
     u = uniforms(problem.inputs, problem.study.sampling, problem.study.samples, problem.study.seed)[rows.sample]
-    eps = epsilons(problem.inputs, u)
+    eps, linked = epsilons(problem.inputs, u), correlation(problem.inputs)
     found: dict[str, Any] = {}
     for name, of in problem.study.tolerances.items():
         mine = [k for k, i in enumerate(problem.inputs) if i.of is of]
-        each = [yield_slope(rows.passed, eps[:, k], _family(of.kind), problem.inputs[k].scale) for k in mine]
-        gains = [-TIGHTER * problem.inputs[k].scale * s.value for k, s in zip(mine, each, strict=True)]
-        errors = [TIGHTER * problem.inputs[k].scale * s.error for k, s in zip(mine, each, strict=True)]
-        gain, error = float(np.sum(gains)), float(np.sqrt(np.sum(np.square(errors))))
+        if of.kind in NORMAL:
+            normal = [k for k, i in enumerate(problem.inputs) if i.of.kind in NORMAL]
+            members = [normal.index(k) for k in mine]
+            each = [normal_slope(rows.passed, eps[:, normal], linked[np.ix_(normal, normal)], members)]
+        else:  # in a group such a number is drawn with others: there is no estimate
+            each = [yield_slope(rows.passed, eps[:, k], "data" if of.group else of.kind, 1.0) for k in mine]
+        gain = -TIGHTER * float(np.sum([s.value for s in each]))
+        error = TIGHTER * float(np.linalg.norm([s.error for s in each]))
         found[name] = {"gain": gain, "error": error}
         if of.cost is not None:
             found[name] |= {"cost": of.cost, "gain per cost": gain / of.cost}
     return found
-
-
-def _family(kind: str) -> str:
-    return "normal" if kind == "log_normal" else kind
 
 
 def _plain(value: Any) -> Any:
