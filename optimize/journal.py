@@ -16,6 +16,7 @@ import numpy as np
 
 from optimize.descent import Line, Progress, begin
 from optimize.evaluate import Counts
+from optimize.files import plain, write_whole
 from optimize.problem import Problem
 
 HISTORY, STATE = "history.jsonl", "state.npz"
@@ -44,7 +45,7 @@ class Journal:
         if resume:
             progress = self._read(state)
             lines = history.read_text("utf-8").splitlines()[: progress.iteration] if history.exists() else []
-            _write_whole(history, "".join(line + "\n" for line in lines))
+            write_whole(history, "".join(line + "\n" for line in lines))
         else:
             if (state.exists() or history.exists()) and not force:
                 raise JournalError(
@@ -63,7 +64,7 @@ class Journal:
 
     def save(self, progress: Progress, line: Line) -> None:
         try:
-            self._lines.write(json.dumps(_plain(line._asdict()), allow_nan=False) + "\n")
+            self._lines.write(json.dumps(plain(line._asdict()), allow_nan=False) + "\n")
             self._lines.flush()
             _write_arrays(self.folder / STATE, _pack(progress, fingerprint(self.problem)))
         except OSError as error:
@@ -114,18 +115,6 @@ def _unpack(arrays: dict[str, np.ndarray], problem: Problem) -> Progress:
     leaves, structure = jax.tree.flatten(fresh.state)
     state = structure.unflatten([arrays[f"state.{k}"] for k in range(len(leaves))])
     return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _write_whole(path: Path, text: str) -> None:
-    draft = path.with_name(f".{path.name}.part")
-    draft.write_text(text, "utf-8")
-    os.replace(draft, path)
 
 
 def _write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:

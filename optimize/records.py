@@ -1,6 +1,6 @@
 """What studies of all kinds are made of: a record that knows its fields, what a number moves, a measure, a limit."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -44,6 +44,18 @@ class Moved(Record):
     def paths(self) -> list[str]:
         """The paths, if that is what it moves."""
         return [self.path] if isinstance(self.path, str) else list(self.path or ())
+
+
+class Runs(Record):
+    """The scene of a study and how it is run. `set`: numbers of the scene by path."""
+
+    scene: str
+    duration: Positive | None = None
+    dt: Positive = 5e-4
+    frames: Annotated[int, Field(ge=2, le=100_001)] = 41
+    method: str = "linear_euler"
+    set: dict[str, Any] = Field(default_factory=dict)
+    title: str = ""
 
 
 class Measured(Record):

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from optimize.records import Limit as Limit
 from optimize.records import Measured as Measured
 from optimize.records import Moved as Moved
-from optimize.records import Nonnegative, Pair, Positive, Record
+from optimize.records import Nonnegative, Pair, Positive, Record, Runs
 from optimize.tolerance.records import Tolerance
 
 
@@ -92,15 +92,9 @@ class Search(Record):
     stages: list[Stage] = Field(default_factory=list)
 
 
-class Study(Record):
+class Study(Runs):
     """A scene, what may change, what is wanted, what must hold, and how to search."""
 
-    scene: str
-    duration: Positive | None = None
-    dt: Positive = 5e-4
-    frames: Annotated[int, Field(ge=2, le=100_001)] = 41
-    method: str = "linear_euler"
-    set: dict[str, Any] = Field(default_factory=dict)
     variables: Annotated[dict[str, Variable], Field(min_length=1)]
     objective: Annotated[dict[str, Goal], Field(min_length=1)]
     limits: dict[str, Limit] = Field(default_factory=dict)
@@ -110,4 +104,3 @@ class Study(Record):
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
     robust: Robust = Robust()
     search: Search = Search()
-    title: str = ""

@@ -82,7 +82,7 @@ PICTURES = {
     "distribution": lambda **given: charts.distribution(np.arange(9.0), "arrival, s", (None, 7.5), **given),
     "convergence": lambda **given: charts.convergence(*np.array([[1, 9], [0, 0.1], [0, 0.01], [0.9, 0.4]]), **given),
     "contributions": lambda **given: charts.contributions(NAMES, SHARES, **given),
-    "yield_slopes": lambda **given: charts.yield_slopes(NAMES, SHARES["gradient"], SHARES["gradient"], **given),
+    "gains": lambda **given: charts.gains(NAMES, SHARES["gradient"], SHARES["gradient"], 0.1, **given),
     "latitude": lambda **given: charts.latitude(X, Y, MARGIN, MARGIN > 0.0, "grammage, g/m²", "friction", **given),
 }
 
@@ -108,7 +108,7 @@ def test_makes_axes_or_draws_into_given_ones(name):
         ("distribution", "arrival, s", "(%)"),
         ("convergence", "Number of draws", "(%)"),
         ("contributions", "variance (%)", "Deviation"),
-        ("yield_slopes", "10 % tighter (percentage points)", "Tolerance"),
+        ("gains", "10 % tighter (percentage points)", "Tolerance"),
         ("latitude", "grammage, g/m²", "friction"),
     ],
 )
@@ -272,13 +272,13 @@ def test_contributions_of_one_row_stay_within_it():
     assert len(colors) == 2
 
 
-@pytest.mark.parametrize("draw", ["contributions", "yield_slopes"])
+@pytest.mark.parametrize("draw", ["contributions", "gains"])
 class TestBars:
     def make(self, draw: str, names: list[str], **given):
         share = np.linspace(1.0, 0.1, len(names))
         if draw == "contributions":
             return charts.contributions(names, {"gradient": share}, {"gradient": (share, share)}, **given)
-        return charts.yield_slopes(names, -share, 0.1 * share, **given)
+        return charts.gains(names, 0.1 * share, 0.01 * share, 0.1, **given)
 
     def test_one_name(self, draw):
         assert rows(drawn(self.make(draw, ["feed"]))) == ["feed"]
@@ -310,13 +310,13 @@ class TestBars:
             ax = charts.contributions(names, {"gradient": values})
             charts.contributions(names, {"gradient": np.full(3, np.nan)})
         else:
-            ax = charts.yield_slopes(names, values, values)
-            drawn(charts.yield_slopes(names, np.full(3, np.nan), np.full(3, np.nan)))
+            ax = charts.gains(names, values, values, 0.1)
+            drawn(charts.gains(names, np.full(3, np.nan), np.full(3, np.nan), 0.1))
         assert rows(drawn(ax)) == ["c", "b", "a"]
 
 
-def test_yield_slopes_are_percentage_points_of_a_tolerance_one_tenth_tighter():
-    ax = drawn(charts.yield_slopes(NAMES, np.array([-0.2, 0.5, 0.0, -0.8]), np.array([0.1, 0.2, 0.0, 0.3])))
+def test_gains_are_percentage_points():
+    ax = drawn(charts.gains(NAMES, np.array([0.02, -0.05, 0.0, 0.08]), np.array([0.01, 0.02, 0.0, 0.03]), 0.1))
     assert rows(ax) == ["nip.preload", "medium.grammage", "feed.friction", "guide.end"]
     better, worse = bars(ax)
     assert better == pytest.approx([8.0, 2.0, 0.0])
@@ -326,8 +326,8 @@ def test_yield_slopes_are_percentage_points_of_a_tolerance_one_tenth_tighter():
     assert set(legend(ax)) == {"more draws pass", "fewer draws pass", "± standard error"}
 
 
-def test_yield_slopes_name_only_the_changes_there_are():
-    ax = drawn(charts.yield_slopes(NAMES[:2], np.array([-0.2, -0.5]), np.array([0.1, 0.2])))
+def test_gains_name_only_the_changes_there_are():
+    ax = drawn(charts.gains(NAMES[:2], np.array([0.02, 0.05]), np.array([0.01, 0.02]), 0.1))
     assert set(legend(ax)) == {"more draws pass", "± standard error"}
 
 

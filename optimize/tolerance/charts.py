@@ -20,7 +20,6 @@ Ends = tuple[np.ndarray, np.ndarray]
 AFTER, BEFORE, BROKEN = plot_style.COLORS[0], plot_style.INK, plot_style.COLORS[1]
 PASSES, PASSES_NOT, FAILED = "#cde3f3", "#f7dcc6", "#f1f2f4"
 LEVEL = 0.95  # of the confidence band of a distribution
-TIGHTER = 0.1  # by which share a tolerance is tightened
 LINE = 36  # letters of a name in one line
 
 
@@ -139,15 +138,19 @@ def contributions(
     return ax
 
 
-def yield_slopes(
-    names: Sequence[str], slope: np.ndarray, error: np.ndarray, ax: "Axes | None" = None, most: int = 15
+def gains(
+    names: Sequence[str],
+    gain: np.ndarray,
+    error: np.ndarray,
+    tighter: float,
+    ax: "Axes | None" = None,
+    most: int = 15,
 ) -> "Axes":
-    """Change of the share that passes (percentage points) when one tolerance is tightened by 10 %; largest first.
+    """Change of the share that passes when one tolerance is made tighter by the share `tighter`; largest first.
 
-    `slope` (d,): derivative of that share (a fraction) by the tolerance, times the tolerance; negative where tightening
-    helps. `error` (d,): its standard error, times the tolerance. Without a finite slope there is no bar.
+    `gain` (d,), a fraction, and `error` (d,), its standard error. Without a finite gain there is no bar.
     """
-    change, spread = -100.0 * TIGHTER * np.asarray(slope, float), 100.0 * TIGHTER * np.abs(np.asarray(error, float))
+    change, spread = 100.0 * np.asarray(gain, float), 100.0 * np.abs(np.asarray(error, float))
     order = _largest(np.abs(change))
     kept = order[:most]
     rows = np.arange(len(kept))
@@ -162,7 +165,7 @@ def yield_slopes(
     ax.hlines(rows, *ends, color=plot_style.INK, linewidth=1.0, label="± standard error")
     ax.axvline(0.0, color=plot_style.STEEL, linewidth=0.8)
     _write_names(ax, names, order, most)
-    title = f"Change of the share that passes, tolerance {100 * TIGHTER:g} % tighter (percentage points)"
+    title = f"Change of the share that passes, tolerance {100 * tighter:g} % tighter (percentage points)"
     plot_style.label(ax, title, "Tolerance")
     ax.grid(visible=False, axis="y")
     plot_style.legend_above(ax)

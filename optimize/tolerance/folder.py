@@ -7,13 +7,13 @@ written so that they read back as the same bits.
 import csv
 import io
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffeed import measures
+from optimize.files import write_whole
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen, joined
 
@@ -66,9 +66,7 @@ class Folder:
             kept, done = self._read() if self.table.exists() else ("", None)
             if done is None:
                 kept = _line(self.columns)
-            draft = self.table.with_name(f".{self.table.name}.part")
-            draft.write_text(kept, "utf-8", newline="")
-            os.replace(draft, self.table)
+            write_whole(self.table, kept)
             self._stream = self.table.open("a", encoding="utf-8", newline="")
         except OSError as error:
             self.close()
@@ -115,11 +113,9 @@ class Folder:
     def sort(self, rows: Rows) -> None:
         """The whole table again, in the order of the samples: workers finish in any order."""
         self._stream.close()
-        draft = self.table.with_name(f".{self.table.name}.part")
         lines = (_line(self._words(rows, k)) for k in range(len(rows.sample)))
         try:
-            draft.write_text(_line(self.columns) + "".join(lines), "utf-8", newline="")
-            os.replace(draft, self.table)
+            write_whole(self.table, _line(self.columns) + "".join(lines))
         except OSError as error:
             raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
 

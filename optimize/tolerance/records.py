@@ -1,10 +1,10 @@
 """What a TOLERANCE study says: which numbers scatter and how, what is measured, what must hold, how many samples."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from optimize.records import Limit, Measured, Moved, Pair, Positive, Record
+from optimize.records import Limit, Measured, Moved, Pair, Positive, Record, Runs
 
 
 class Tolerance(Moved):
@@ -92,15 +92,10 @@ class Latitude(Record):
     y: Axis
 
 
-class ToleranceStudy(Record):
+class ToleranceStudy(Runs):
     """A scene, how its numbers scatter, what is measured, what must hold, and how to sample."""
 
-    scene: str
-    duration: Positive | None = None
     dt: Positive = 2e-4
-    frames: Annotated[int, Field(ge=3, le=100_001)] = 41
-    method: str = "linear_euler"
-    set: dict[str, Any] = Field(default_factory=dict)
     media: dict[str, str] = Field(default_factory=dict)
     tolerances: Annotated[dict[str, Tolerance], Field(min_length=1)]
     measures: dict[str, Measured] = Field(default_factory=dict)
@@ -109,7 +104,6 @@ class ToleranceStudy(Record):
     sampling: Literal["plain", "latin_hypercube", "sobol"] = "plain"
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
     latitude: Latitude | None = None
-    title: str = ""
 
     @model_validator(mode="after")
     def _names_differ(self) -> "ToleranceStudy":

@@ -1,7 +1,6 @@
 """What a tolerance study gives its user: tables on the screen, and pictures and numbers beside its rows."""
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from diffeed import plot_style
 from diffeed.terminal import plain_table
+from optimize.files import plain, write_whole
 from optimize.tolerance import charts
 from optimize.tolerance.latitude import Map
 from optimize.tolerance.problem import ToleranceProblem
@@ -103,9 +103,7 @@ def write_result(
 ) -> list[str]:
     """Pictures, and last the summary: a folder that holds `result.json` is complete. OSError where it cannot be written."""
     names = _pictures(folder, problem, rows, summary, before) if pictures else []
-    draft = folder / f".{RESULT}.part"
-    draft.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", "utf-8")
-    os.replace(draft, folder / RESULT)
+    write_whole(folder / RESULT, json.dumps(summary, indent=1, allow_nan=False) + "\n")
     return [*names, RESULT]
 
 
@@ -134,8 +132,8 @@ def _pictures(
             made[f"{asked.name}_contributions.png"] = lambda s=shares: charts.contributions(inputs, s)
     tighter = {n: v for n, v in summary["tighten"].items() if v["gain"] is not None and v["error"] is not None}
     if tighter:
-        gain, error = (np.array([v[key] for v in tighter.values()]) / TIGHTER for key in ("gain", "error"))
-        made["tighten.png"] = lambda: charts.yield_slopes(list(tighter), -gain, error)
+        gain, error = (np.array([v[key] for v in tighter.values()]) for key in ("gain", "error"))
+        made["tighten.png"] = lambda: charts.gains(list(tighter), gain, error, TIGHTER)
     for name, draw in made.items():
         plot_style.save(folder / name, draw)
     return list(made)
@@ -145,16 +143,16 @@ def write_latitude(folder: Path, found: Map) -> list[str]:
     """The picture and the numbers of a latitude."""
     folder.mkdir(parents=True, exist_ok=True)
     numbers = {
-        "x": {"name": found.labels[0], "values": found.x.tolist()},
-        "y": {"name": found.labels[1], "values": found.y.tolist()},
-        "passed": found.passed.tolist(),
-        "margin": [[float(v) if np.isfinite(v) else None for v in row] for row in found.margin],
+        "x": {"name": found.labels[0], "values": found.x},
+        "y": {"name": found.labels[1], "values": found.y},
+        "passed": found.passed,
+        "margin": found.margin,
     }
     plot_style.save(
         folder / "latitude.png",
         lambda: charts.latitude(found.x, found.y, found.margin, found.passed, *found.labels, nominal=found.nominal),
     )
-    (folder / "latitude.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", "utf-8")
+    write_whole(folder / "latitude.json", json.dumps(plain(numbers), indent=1, allow_nan=False) + "\n")
     return ["latitude.png", "latitude.json"]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from diffeed import measures
 from optimize.asked import Asked
+from optimize.files import plain
 from optimize.tolerance.contributions import Slopes
 from optimize.tolerance.draws import correlation, epsilons, uniforms
 from optimize.tolerance.problem import ToleranceProblem
@@ -34,7 +35,7 @@ def summarise(
     problem: ToleranceProblem, rows: Rows, slopes: Slopes | None = None, indices: list[Indices] | None = None
 ) -> dict[str, Any]:
     """Everything, ready for JSON: NaN and infinity become None."""
-    return _plain({
+    return plain({
         "title": problem.study.title,
         "samples": len(rows.sample),
         "sampling": problem.study.sampling,
@@ -139,15 +140,3 @@ def tighten(problem: ToleranceProblem, rows: Rows) -> dict[str, Any]:
         if of.cost is not None:
             found[name] |= {"cost": of.cost, "gain per cost": gain / of.cost}
     return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return [_plain(v) for v in value.tolist()]
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
