@@ -3,6 +3,7 @@
 Contact forces have compact support, so leaving out pairs that are further apart than they can close is exact. The search
 is a full sweep of gaps; it keeps a fixed number of bodies per feature (`slots`). Two things would make it wrong, and both
 are told as data: more bodies within reach than slots, and a sheet that moved further than the reach (`check_reach`).
+Where the steps are not given, the first can be helped: the next search is made earlier (`for_as_long_as_they_last`).
 """
 
 from typing import NamedTuple
@@ -50,14 +51,19 @@ def slots(model: Model) -> Slots:
 
 
 class Candidates(NamedTuple):
-    """Kept bodies, what they were chosen for, and whether all that are within reach found a slot."""
+    """Kept bodies, the reach that they were chosen for, and the reach within which no other body is."""
 
     kept: Kept
     reach: Array  # mm
+    free: Array  # mm
     x: Array  # node positions at the search
     y: Array
     travel: Array
-    complete: Array  # bool
+
+    @property
+    def complete(self) -> Array:
+        """Bool: all bodies within reach found a slot."""
+        return self.reach <= self.free
 
 
 def search(model: Model, state: State, span: Array) -> Candidates:
@@ -66,11 +72,11 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     x, y = nodes(model, at)
     size = slots(model)
     if not model.has_bodies or not size.any:
-        always = jnp.ones((), bool)
-        return Candidates(keep_all(model), jnp.full((), jnp.inf), x, y, state.travel, always)
+        always = jnp.full((), jnp.inf)
+        return Candidates(keep_all(model), always, always, x, y, state.travel)
     world, row, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
     reach = REACH + MARGIN * span * _fastest(model, state)
-    found, complete = [], []
+    found, free = [], []
     families = [
         (circles_near, (model, row, world, whole)),
         (lines_near, (row, world, whole)),
@@ -78,24 +84,30 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     ]
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
     for (near, given), depth, count in zip(families, depths, size, strict=True):
-        index, fits = (
-            (None, jnp.ones((), bool)) if count is None else _nearest(near(*given), depth, count, reach, model)
-        )
+        index, next_gap = (None, jnp.inf) if count is None else _nearest(near(*given), depth, count, model)
         found.append(index)
-        complete.append(fits)
-    return Candidates(keep(model, *found), reach, x, y, state.travel, complete[0] & complete[1] & complete[2])
+        free.append(next_gap)
+    limit = jnp.minimum(jnp.minimum(free[0], free[1]), free[2])
+    return Candidates(keep(model, *found), reach, jnp.asarray(limit, reach.dtype), x, y, state.travel)
 
 
-def _nearest(near: Closest, depth: Array | None, count: int, reach: Array, model: Model) -> tuple[Array, Array]:
-    """(slots, features) indices of the nearest bodies, and whether all within reach are among them."""
+def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
+    """Candidates for the part of `span` in which no further body can come near, and that time (s)."""
+    reach = jnp.minimum(found.reach, found.free)
+    share = jnp.where(jnp.isfinite(found.reach), reach / found.reach, 1.0)
+    return found._replace(reach=reach), span * jnp.maximum(share, 0.0)
+
+
+def _nearest(near: Closest, depth: Array | None, count: int, model: Model) -> tuple[Array, Array]:
+    """(slots, features) indices of the nearest bodies, and the smallest gap of all others."""
     gap = near.gap
     if depth is None:
         gap = jnp.where(model.circles.active[:, None] > 0, gap, jnp.inf)
     else:
         # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
         gap = gap - jnp.where(near.weight > 0, 0.0, depth[:, None])
-    _, index = lax.top_k(-lax.stop_gradient(gap).T, count)
-    return index.T, jnp.all(jnp.sum(gap < reach, axis=0) <= count)
+    closest, index = lax.top_k(-lax.stop_gradient(gap).T, count + 1)
+    return index[:, :count].T, -jnp.max(closest[:, count])
 
 
 def _fastest(model: Model, state: State) -> Array:

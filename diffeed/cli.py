@@ -29,7 +29,8 @@ class Request:
     """The arguments of `diffeed run`."""
 
     scene: str
-    dt: float
+    dt: float | None
+    tolerance: float | None
     duration: float | None
     method: str | None
     frames: int
@@ -80,6 +81,7 @@ Examples:
   diffeed run film_feeder
   diffeed run film_feeder --out results --set rollers.drive_1.radius=10.2
   diffeed run my_machine.toml --duration 0.5 --dt 5e-5 --out fine --force
+  diffeed run my_machine.toml --tolerance 0.01
 \b
 Exit status: 0 the run was computed (passed, late or jammed: see the first line),
 1 the computation failed, 2 nothing was run or the files could not be written,
@@ -87,7 +89,8 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 """,
 )
 @SCENE
-@click.option("--dt", type=float, default=1e-4, show_default=True, help="Longest time step, s.")
+@click.option("--dt", type=float, help="Longest time step, s; default: 1e-4, with --tolerance 2e-3.")
+@click.option("--tolerance", type=float, help="Choose steps by their error, mm per step; 0.01 is a good start.")
 @click.option("--duration", type=float, help="Length of the run, s; default: the scene's own.")
 @METHOD
 @click.option(
@@ -148,7 +151,7 @@ def _run(ask: Request) -> int:
         _set_up(ask.float32)
         _say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
-        scene = _load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method)
+        scene = _load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance)
         with draft_of(ask.out) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
             return _finish(ask, scene, progress, draft)
@@ -165,7 +168,12 @@ def _set_up(float32: bool) -> None:
 
 
 def _load_sound(
-    where: str, assignments: tuple[str, ...], changes: dict[str, Any], dt: float | None, method: str | None
+    where: str,
+    assignments: tuple[str, ...],
+    changes: dict[str, Any],
+    dt: float | None,
+    method: str | None,
+    tolerance: float | None = None,
 ) -> "Scene":
     from diffeed.check_records import SceneError, checked
     from diffeed.paths import PathError, parse_assignment, put
@@ -176,7 +184,7 @@ def _load_sound(
         for text in assignments:
             scene = put(scene, *parse_assignment(text))
         scene = replace(scene, **changes)
-        problems = _patiently(lambda: diffeed.check(scene, dt, method))
+        problems = _patiently(lambda: diffeed.check(scene, dt, method, tolerance))
         if problems:
             raise SceneError(problems, where)
         return checked(scene)
@@ -188,7 +196,7 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     from diffeed.report import OBSERVE
     from diffeed.steppers import DEFAULT
 
-    pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE)
+    pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE, ask.tolerance)
     progress = Progress(seconds=[begun])
     try:
         with _bar(scene.duration) as show:
@@ -246,7 +254,8 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
         "simulated": simulated,
         "duration": scene.duration,
         "dt": dt,
-        "steps": round(simulated / dt),
+        "steps": int(trajectory.steps),
+        "tolerance": ask.tolerance,
         "method": ask.method or DEFAULT,
         "precision": "float32" if ask.float32 else "float64",
         "compile_seconds": first - progress.seconds[0],
@@ -257,11 +266,15 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
 
 
 def _hint(ask: Request, cause: int) -> str:
+    from diffeed.rollout import STEP
     from diffeed.steppers import DEFAULT
     from diffeed.trajectory import TOO_DEEP
 
     other = f", or --method {DEFAULT}" if ask.method not in (None, DEFAULT) else ""
-    hint = f"Try a smaller time step (--dt {ask.dt / 4:g}){other}."
+    if ask.tolerance is not None:
+        hint = f"Try a smaller tolerance (--tolerance {ask.tolerance / 10:g}){other}."
+    else:
+        hint = f"Try a smaller time step (--dt {(ask.dt or STEP) / 4:g}) or --tolerance 0.01{other}."
     if cause == TOO_DEEP:
         hint += " If it fails at the same place, the sheet is driven into that part: look at its place and stiffness."
     return hint

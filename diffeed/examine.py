@@ -13,13 +13,15 @@ from diffeed.parts import Scene, normalise
 from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 from diffeed.statics import settle_model
-from diffeed.steppers import DEFAULT, EXPLICIT, STEPPERS
+from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
 
 
-def check(scene: Scene, dt: float | None = None, method: str | None = None) -> list[str]:
+def check(
+    scene: Scene, dt: float | None = None, method: str | None = None, tolerance: float | None = None
+) -> list[str]:
     """Every problem of a scene, each naming its part and field, the value and what it must be; empty if it is sound.
 
-    With `dt` (s) or `method`, also whether the step is too large for the method.
+    With `dt` (s), `method` or `tolerance` (mm), also whether the method can take such steps.
     """
     problems = check_records(scene)
     method = DEFAULT if method is None else method
@@ -27,6 +29,11 @@ def check(scene: Scene, dt: float | None = None, method: str | None = None) -> l
         problems.append(f"method must be one of {', '.join(STEPPERS)}, but is {method!r}")
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         problems.append(f"dt must be > 0 s, but is {dt}")
+    if tolerance is not None:
+        if not (np.isfinite(tolerance) and tolerance > 0):
+            problems.append(f"tolerance must be > 0 mm, but is {tolerance}")
+        if method not in ESTIMATING:
+            problems.append(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
     if problems:
         return problems
     scene = normalise(scene)

@@ -18,7 +18,8 @@ from diffeed.forces import assemble
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
 from diffeed.paths import numbers
-from diffeed.rollout import begin, plan
+from diffeed.progress import begin
+from diffeed.rollout import plan
 from diffeed.snapshot import look
 from diffeed.state import State
 from diffeed.steppers import DEFAULT, EXPLICIT, STEPPERS

@@ -5,6 +5,7 @@ moves by nanometres, and the derivative follows the jitter. So the exact derivat
 through runs spread over a designer's step: where the two part, the gradient does not predict that step.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +16,7 @@ from jax import Array
 
 from diffeed.parts import Scene, normalise
 from diffeed.paths import get, put, unit
-from diffeed.rollout import simulate
+from diffeed.rollout import MOST_STEPS, simulate
 from diffeed.steppers import DEFAULT
 from diffeed.trajectory import Trajectory
 
@@ -74,11 +75,13 @@ def gradient_check(
     spans: dict[str, float] | None = None,
     times: Sequence[float] | None = None,
     duration: float | None = None,
-    dt: float = 1e-4,
+    dt: float | None = None,
     frames: int = 41,
     samples: int = 64,
     method: str = DEFAULT,
     observe: tuple[str, ...] = (),
+    tolerance: float | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> GradientCheck:
     """Check the derivatives of a history of a run with respect to numbers of a scene.
 
@@ -90,13 +93,17 @@ def gradient_check(
     start = np.array([float(get(scene, p)) for p in paths])
     spans = spans or {}
     widths = np.array([spans.get(p, 2e-3 * abs(v) or 1e-3) for p, v in zip(paths, start, strict=True)])
-    nominal = simulate(scene, duration, dt, frames, method, observe=observe)
+    run_of = functools.partial(
+        simulate, duration=duration, dt=dt, frames=frames, method=method, observe=observe,
+        tolerance=tolerance, most_steps=most_steps,
+    )  # fmt: skip
+    nominal = run_of(scene)
 
     def of(values: Array) -> Array:
         changed = scene
         for path, value in zip(paths, values, strict=True):
             changed = put(changed, path, value)
-        run = simulate(changed, duration, dt, frames, method, observe=observe)
+        run = run_of(changed)
         return lead_edge_from(nominal, run) if history is None else history(changed, run)
 
     return check_function(of, start, tuple(paths), tuple(unit(scene, p) for p in paths), widths,

@@ -14,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed import error_control
 from diffeed.model import build
 from diffeed.parts import Scene, normalise
 from diffeed.paths import get, put
-from diffeed.rollout import MANY, begin, plan, simulate
+from diffeed.progress import begin
+from diffeed.rollout import MANY, MOST_STEPS, STEP, Plan, plan, simulate
 from diffeed.steppers import DEFAULT
 from diffeed.trajectory import Trajectory
 
@@ -51,13 +53,26 @@ class GradientPlan(NamedTuple):
 
 
 def gradient_plan(
-    scene: Scene, count: int, duration: float | None = None, dt: float = 1e-4, frames: int = 2, mode: str = "auto"
+    scene: Scene,
+    count: int,
+    duration: float | None = None,
+    dt: float | None = None,
+    frames: int = 2,
+    mode: str = "auto",
+    tolerance: float | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> GradientPlan:
-    """Mode, checkpoints and memory for the gradient of a run with respect to `count` numbers."""
+    """Mode, checkpoints and memory for the gradient of a run with respect to `count` numbers.
+
+    With a `tolerance`, of a run that takes `most_steps`: room for all of them is held.
+    """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, but is {mode!r}")
     scene = normalise(scene)
-    counts = plan(scene.duration if duration is None else duration, dt, frames)
+    if tolerance is None:
+        counts = plan(scene.duration if duration is None else duration, STEP if dt is None else dt, frames)
+    else:
+        counts = Plan(2, error_control.blocks(most_steps, frames), error_control.BLOCK)
     chosen = mode if mode != "auto" else "forward" if count <= FEW else "reverse"
     carry = jax.eval_shape(lambda s: begin(build(s), s, None, ()), scene)
     state = sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in jax.tree.leaves(carry))
@@ -80,10 +95,12 @@ def value_and_gradient(
     paths: Sequence[str] | None = None,
     mode: str = "auto",
     duration: float | None = None,
-    dt: float = 1e-4,
+    dt: float | None = None,
     frames: int = 101,
     method: str = DEFAULT,
     observe: tuple[str, ...] = (),
+    tolerance: float | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> tuple[Array, Any]:
     """A measure(scene, trajectory) of a run, a scalar, and its derivatives.
 
@@ -92,14 +109,15 @@ def value_and_gradient(
     """
     scene = normalise(scene)
     run = functools.partial(
-        simulate, duration=duration, dt=dt, frames=frames, method=method, observe=tuple(sorted(observe))
-    )
+        simulate, duration=duration, dt=dt, frames=frames, method=method, observe=tuple(sorted(observe)),
+        tolerance=tolerance, most_steps=most_steps,
+    )  # fmt: skip
     if paths is None:
         if mode == "forward":
             raise ValueError("the gradient with respect to every number needs mode='reverse'; or name some paths")
         return _whole(measure, run, scene)
     count = sum(int(np.size(get(scene, p))) for p in paths)
-    chosen = gradient_plan(scene, count, duration, dt, frames, mode).mode
+    chosen = gradient_plan(scene, count, duration, dt, frames, mode, tolerance, most_steps).mode
     return _some(measure, run, scene, {p: jnp.asarray(get(scene, p)) for p in paths}, chosen)
 
 

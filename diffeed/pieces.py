@@ -11,12 +11,15 @@ import numpy as np
 from diffeed.examine import prepare
 from diffeed.model import Model
 from diffeed.parts import Scene, normalise
+from diffeed.progress import begin
 from diffeed.records import replace
-from diffeed.rollout import begin, simulate
+from diffeed.rollout import simulate
 from diffeed.state import State
 from diffeed.trajectory import Resume, Trajectory
 
 PIECES = 20
+MOST_STEPS = 200_000
+"""Of one piece, where a tolerance chooses them: a run that asks for more stands still."""
 
 
 def count_pieces(frames: int) -> int:
@@ -26,7 +29,14 @@ def count_pieces(frames: int) -> int:
     return min({*divisors, *(gaps // k for k in divisors)}, key=lambda k: abs(math.log(k / PIECES)))
 
 
-def run_in_pieces(scene: Scene, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> Iterator[Trajectory]:
+def run_in_pieces(
+    scene: Scene,
+    dt: float | None,
+    frames: int,
+    method: str,
+    observe: tuple[str, ...],
+    tolerance: float | None = None,
+) -> Iterator[Trajectory]:
     """Pieces that `diffeed.trajectory.join` makes one run of: the steps are those of a single `simulate`.
 
     Ends after the piece in which the run fails. The scene must have passed `diffeed.check`.
@@ -37,8 +47,9 @@ def run_in_pieces(scene: Scene, dt: float, frames: int, method: str, observe: tu
     resume = _start(start.model, scene, start.state, tuple(sorted(observe)))
     for _ in range(count):
         piece = simulate(
-            scene, scene.duration / count, dt, (frames - 1) // count + 1, method, initial=resume, observe=observe
-        )
+            scene, scene.duration / count, dt, (frames - 1) // count + 1, method,
+            initial=resume, observe=observe, tolerance=tolerance, most_steps=MOST_STEPS,
+        )  # fmt: skip
         resume = piece.final
         yield jax.block_until_ready(piece)
         if not piece.ok:

@@ -8,38 +8,24 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from diffeed.candidates import Candidates, check_reach, search
-from diffeed.contact import Kept
-from diffeed.forces import Contacts
-from diffeed.kinematics import to_nodes
+from diffeed import error_control
+from diffeed.candidates import search
 from diffeed.model import Model, build
-from diffeed.observe import OBSERVERS, Seen
+from diffeed.observe import OBSERVERS
 from diffeed.parts import Scene, normalise, warn_if_single
+from diffeed.progress import Progress, begin, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import by_guide, felt_by_bodies, look, part_names, roller_order, snapshot
-from diffeed.state import State, initial_state
-from diffeed.statics import settle_model
-from diffeed.steppers import DEFAULT, STEPPERS
-from diffeed.trajectory import (
-    MOVED_TOO_FAR,
-    NO_REST,
-    NOT_FINITE,
-    TOO_DEEP,
-    TOO_FAST,
-    TOO_MANY_NEAR,
-    Failure,
-    Resume,
-    Trajectory,
-)
+from diffeed.state import State
+from diffeed.steppers import DEFAULT, ESTIMATING, STEPPERS
+from diffeed.trajectory import Failure, Resume, Trajectory
 
 BLOCK = 16
 """Most steps between two searches for candidates."""
 MANY = 40_000
 """Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
-DEEPEST = 3.0
-"""mm: a bar axis further inside a roller or circle guide than this (or than half its radius) went through it."""
-FASTEST = 1e7
-"""mm/s: ten kilometres a second."""
+STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000
+"""s: the step if none is given; under error control the longest one, and how many at most."""
 
 
 class Plan(NamedTuple):
@@ -65,33 +51,39 @@ def plan(duration: float, dt: float, frames: int) -> Plan:
 def simulate(
     scene: Scene,
     duration: float | None = None,
-    dt: float = 1e-4,
+    dt: float | None = None,
     frames: int = 101,
     method: str = DEFAULT,
     initial: State | Resume | None = None,
     observe: tuple[str, ...] = (),
+    tolerance: float | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> Trajectory:
     """Run a scene for `duration` (s; the scene's own if None) and look at it `frames` times, evenly spaced.
 
-    Works alike in plain Python and under `jit`, `grad`, `vmap`. `dt` is the longest step allowed (s); the number of steps
-    is static, so inside a trace `dt` must be a Python float. `method` names a stepper (`diffeed.METHODS`). `initial` is a
-    state (of `settle`, say) or `trajectory.final` of a run to go on with. `observe` names what to accumulate in every
-    step (`diffeed.OBSERVERS`). A run that fails is a value: `trajectory.ok`, `trajectory.failure`.
+    Works alike in plain Python and under `jit`, `grad`, `vmap`. `dt` is the longest step allowed (s; 1e-4 if None); the
+    number of steps is static, so inside a trace `dt` must be a Python float. `method` names a stepper (`diffeed.METHODS`).
+    `initial` is a state (of `settle`, say) or `trajectory.final` of a run to go on with. `observe` names what to accumulate
+    in every step (`diffeed.OBSERVERS`). A run that fails is a value: `trajectory.ok`, `trajectory.failure`.
+
+    With a `tolerance` (mm, error of one step; may be traced) steps are chosen by their error, none longer than `dt` (2e-3
+    if None) and at most `most_steps` together, which is static: a derivative passes through that many places, a run that
+    needs more fails.
 
     Raises ValueError for a static argument that makes no sense; call `diffeed.check` for the scene's own numbers.
     """
     scene = normalise(scene)
     warn_if_single(scene)
     duration = scene.duration if duration is None else float(duration)
+    dt = dt if dt is not None else STEP if tolerance is None else LONGEST
     _refuse(duration, dt, frames, method, observe)
-    return _simulate(
-        scene,
-        duration / plan(duration, dt, frames).total,
-        initial,
-        plan(duration, dt, frames),
-        method,
-        tuple(sorted(set(observe))),
-    )
+    observe = tuple(sorted(set(observe)))
+    if tolerance is None:
+        counts = plan(duration, dt, frames)
+        return _simulate(scene, duration / counts.total, initial, counts, method, observe)
+    _refuse_control(tolerance, most_steps, frames, method)
+    control = error_control.Control(frames - 1, error_control.blocks(most_steps, frames), method, observe)
+    return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 
 def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
@@ -106,19 +98,22 @@ def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple
         raise ValueError(f"observe must be a tuple of names out of {', '.join(OBSERVERS)}, but is {observe!r}")
 
 
-class Progress(NamedTuple):
-    """Carry of the scan: state, first failure, accumulators."""
-
-    state: State
-    cause: Array
-    failed_at: Array
-    open: dict[str, Any]
+def _refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -> None:
+    if method not in ESTIMATING:
+        raise ValueError(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
+    if not isinstance(tolerance, Array) and not (math.isfinite(tolerance) and tolerance > 0):
+        raise ValueError(f"tolerance must be a positive number of mm, but is {tolerance}")
+    if int(most_steps) != most_steps or most_steps < frames - 1:
+        raise ValueError(
+            f"most_steps must be a whole number of at least one per frame ({frames - 1}), but is {most_steps}"
+        )
 
 
 @functools.partial(jax.jit, static_argnames=("counts", "method", "observe"))
 def _simulate(
     scene: Scene, dt: Any, initial: State | Resume | None, counts: Plan, method: str, observe: tuple[str, ...]
 ) -> Trajectory:
+    """Steps of one length."""
     model = build(scene)
     h = jnp.asarray(dt, scene.gravity.dtype)
     first = begin(model, scene, initial, observe)
@@ -135,24 +130,50 @@ def _simulate(
         @functools.partial(jax.checkpoint, prevent_cse=False)  # in a scan nothing can be merged that must not be
         def one_step(carry: Progress, k: Array) -> tuple[Progress, None]:
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
-            return _guarded_step(model, scene, carry, h, time, found, method, observe), None
+            after, touching = STEPPERS[method](model, carry.state, h, found.kept)
+            after = replace(after, time=time)
+            return taken(model, scene, carry, after, touching, h, found.kept, observe), None
 
         carry, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
-        lost = (carry.cause == 0) & ~check_reach(model, found, carry.state)
-        cause = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR).astype(jnp.int32)
-        return carry._replace(
-            cause=jnp.where(lost, cause, carry.cause), failed_at=jnp.where(lost, carry.state.time, carry.failed_at)
-        ), None
+        return searched(model, found, carry), None
 
     if counts.total > MANY:
         one_block = jax.checkpoint(one_block, prevent_cse=False)
     last, states = lax.scan(one_frame, first, jnp.arange(counts.frames - 1))
+    return _trajectory(model, scene, first, last, states, h, jnp.asarray(counts.total), observe)
+
+
+@functools.partial(jax.jit, static_argnames=("control",))
+def _simulate_to(
+    scene: Scene, limits: error_control.Limits, initial: State | Resume | None, control: error_control.Control
+) -> Trajectory:
+    """Steps as long as a tolerance allows."""
+    model = build(scene)
+    limits = error_control.Limits(*(jnp.asarray(v, scene.gravity.dtype) for v in limits))
+    first = begin(model, scene, initial, control.observe)
+    last, states, count = error_control.run(control, limits, scene, first)
+    mean = control.frames * limits.frame / jnp.maximum(count, 1).astype(limits.frame.dtype)
+    return _trajectory(model, scene, first, last, states, mean, count, control.observe)
+
+
+def _trajectory(
+    model: Model,
+    scene: Scene,
+    first: Progress,
+    last: Progress,
+    states: State,
+    dt: Array,
+    steps: Array,
+    observe: tuple[str, ...],
+) -> Trajectory:
+    """Look at the frames."""
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
     part = _hardest_pressed(model, last.state) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
-        dt=h,
+        dt=dt,
+        steps=steps,
         sheets=sheets,
         rollers=rollers,
         guides=guides,
@@ -164,65 +185,6 @@ def _simulate(
         final=Resume(**last._asdict()),
         states=states,
     )
-
-
-def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
-    """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
-    if isinstance(initial, Resume):
-        return Progress(initial.state, initial.cause, initial.failed_at, initial.open)
-    state, found = initial, jnp.asarray(True)
-    if state is None:
-        state = initial_state(model, scene)
-        if scene.initial == "settled":
-            with jax.named_scope("settle"):
-                state, found = settle_model(model, state)
-    cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
-    failed_at = jnp.where(found, jnp.inf, state.time)
-    start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
-    return Progress(state, cause, failed_at, start)
-
-
-def _guarded_step(
-    model: Model,
-    scene: Scene,
-    carry: Progress,
-    h: Array,
-    time: Array,
-    found: Candidates,
-    method: str,
-    observe: tuple[str, ...],
-) -> Progress:
-    """One step; a run that has failed stands still, so that its last good state can be looked at."""
-    before = carry.state
-    after, touching = STEPPERS[method](model, before, h, found.kept)
-    after = replace(after, time=time)
-    cause = _judge(model, after, found.kept, touching)
-    fine = (carry.cause == 0) & (cause == 0)
-    opened = carry.open
-    if observe:
-        guides = any(OBSERVERS[name].guides for name in observe)
-        seen = Seen(before, after, h, *look(model, before, guides))
-        opened = {name: OBSERVERS[name].update(model, scene, carry.open[name], seen) for name in observe}
-    return Progress(
-        state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
-        cause=jnp.where(carry.cause == 0, cause, carry.cause),
-        failed_at=jnp.where((carry.cause == 0) & (cause > 0), time, carry.failed_at),
-        open=jax.tree.map(lambda a, b: jnp.where(fine, a, b), opened, carry.open),
-    )
-
-
-def _judge(model: Model, after: State, kept: Kept, touching: Contacts) -> Array:
-    """Cause of failure of a step, 0 for none (see trajectory.CAUSES)."""
-    speeds = jnp.concatenate([after.vx, after.vy, after.rate * jnp.max(model.bars.half_length), after.travel_rate])
-    fastest = jnp.max(jnp.abs(speeds))
-    cause = jnp.where(jnp.isfinite(fastest), jnp.where(fastest > FASTEST, TOO_FAST, 0), NOT_FINITE)
-    if touching.sheets is not None and kept.n_circles:
-        pairs, n = touching.sheets, kept.n_circles
-        half = to_nodes(model.layout, model.bars.half_thickness, model.bars.half_thickness)[None, :]
-        inside = jnp.where(pairs.touch.force[:n] > 0, pairs.gap[:n] + half, 0.0)
-        deep = jnp.any(inside < -jnp.maximum(jnp.minimum(DEEPEST, 0.5 * kept.radius), 0.25))
-        cause = jnp.where((cause == 0) & deep, TOO_DEEP, cause)
-    return cause.astype(jnp.int32)
 
 
 def _hardest_pressed(model: Model, state: State) -> Array:

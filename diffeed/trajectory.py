@@ -100,9 +100,11 @@ CAUSES = (
     "speeds grew past anything a feeder can do",
     "more bodies came near one bar than the search keeps",
     "something moved further between two searches than the search reached",
+    "the tolerance asks for more steps than `most_steps` allows",
+    "no step, however small, met the tolerance",
 )
 """Causes of a failed run, by number."""
-NO_REST, NOT_FINITE, TOO_DEEP, TOO_FAST, TOO_MANY_NEAR, MOVED_TOO_FAR = range(1, len(CAUSES))
+NO_REST, NOT_FINITE, TOO_DEEP, TOO_FAST, TOO_MANY_NEAR, MOVED_TOO_FAR, OUT_OF_STEPS, TOO_SMALL = range(1, len(CAUSES))
 
 
 @record
@@ -128,7 +130,8 @@ class Trajectory:
     """A run: frames, failure as a value, and what was observed in every step."""
 
     time: Any = number(unit="s", doc="(frames,)")
-    dt: Any = number(unit="s", doc="step actually taken")
+    dt: Any = number(unit="s", doc="step actually taken; with a tolerance, their mean")
+    steps: Any = number(unit="1", doc="steps taken")
     sheets: dict[str, SheetTrack] = number(unit="", doc="by name")
     rollers: Parts[RollerTrack] = number(unit="", doc="by name")
     guides: Parts[GuideTrack] = number(unit="", doc="by name")
@@ -141,12 +144,13 @@ class Trajectory:
 
 @record
 class Resume:
-    """What a run needs to go on where another stopped: state, failure so far, open observations."""
+    """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s)."""
 
     state: State
     cause: Any
     failed_at: Any
     open: dict[str, Any]
+    next_step: Any
 
 
 def join(pieces: list[Trajectory]) -> Trajectory:
@@ -163,4 +167,5 @@ def join(pieces: list[Trajectory]) -> Trajectory:
         name: jax.tree.map(along, *[getattr(p, name) for p in pieces])
         for name in ("time", "sheets", "rollers", "guides", "states")
     }
-    return replace(last, **merged)
+    steps = sum(np.asarray(p.steps) for p in pieces)
+    return replace(last, steps=steps, dt=(merged["time"][-1] - merged["time"][0]) / np.maximum(steps, 1), **merged)

@@ -66,16 +66,16 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
 
     def of(copies: diffeed.Scene) -> Array:
         first = jax.tree.map(lambda v: v[0], copies)
-        begun = diffeed.simulate(first, piece, study.dt, 2, study.method, observe=problem.observe)
+        begun = diffeed.simulate(first, piece, frames=2, **study.stepping, observe=problem.observe)
 
         def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, None]:
-            run = diffeed.simulate(copy, piece, study.dt, 2, study.method, initial=resume, observe=problem.observe)
+            run = diffeed.simulate(copy, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
             return run.final, None
 
         rest = jax.tree.map(lambda v: v[1:-1], copies)
         resume, _ = jax.lax.scan(jax.checkpoint(go_on), begun.final, rest)
         last = jax.tree.map(lambda v: v[-1], copies)
-        run = diffeed.simulate(last, piece, study.dt, 2, study.method, initial=resume, observe=problem.observe)
+        run = diffeed.simulate(last, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
         return objective_of(problem, values_of(problem.goals, last, run))
 
     copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)

@@ -100,8 +100,9 @@ class Problem:
         """How the gradient of one run is taken, and what it needs."""
         study = self.study
         return diffeed.gradient_plan(
-            self.scenes[0], len(self.names), duration or study.duration, study.dt, study.frames
-        )
+            self.scenes[0], len(self.names), duration or study.duration, study.dt, study.frames,
+            tolerance=study.step_tolerance, most_steps=study.most_steps,
+        )  # fmt: skip
 
     def scene(self, unit: Any, medium: int = 0) -> diffeed.Scene:
         """The scene of a point."""
@@ -123,9 +124,8 @@ def simulate(problem: Problem, scene: diffeed.Scene, duration: float | None = No
     return diffeed.simulate(
         scene,
         duration or study.duration,
-        study.dt,
-        study.frames,
-        study.method,
+        frames=study.frames,
+        **study.stepping,
         observe=tuple(sorted({*problem.observe, *extra})),
     )
 

@@ -47,15 +47,28 @@ class Moved(Record):
 
 
 class Runs(Record):
-    """The scene of a study and how it is run. `set`: numbers of the scene by path."""
+    """The scene of a study and how it is run. `set`: numbers of the scene by path.
+
+    With a `step_tolerance` (mm) steps are chosen by their error, none longer than `dt` if that is given.
+    """
 
     scene: str
     duration: Positive | None = None
     dt: Positive = 5e-4
+    step_tolerance: Positive | None = None
+    most_steps: Annotated[int, Field(ge=1)] = 20_000
     frames: Annotated[int, Field(ge=2, le=100_001)] = 41
     method: str = "linear_euler"
     set: dict[str, Any] = Field(default_factory=dict)
     title: str = ""
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """How `diffeed.simulate` is to step."""
+        if self.step_tolerance is None:
+            return {"dt": self.dt, "method": self.method}
+        dt = self.dt if "dt" in self.model_fields_set else None
+        return {"dt": dt, "method": self.method, "tolerance": self.step_tolerance, "most_steps": self.most_steps}
 
 
 class Measured(Record):

@@ -15,6 +15,20 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 matplotlib.use("Agg")
 
 
+SECOND_ORDER = {"extrapolated_euler", "midpoint"}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Symmetries and transformations hold for every stepper; for these two they are asked of slowly: they are made of the
+    step of `linear_euler`, and each takes three to five times as long to compile."""
+    for item in items:
+        method = getattr(item, "callspec", None) and item.callspec.params.get("method")
+        wide = item.path.stem in ("test_properties_symmetry", "test_properties_numerics") and "order" not in item.name
+        if wide and method in SECOND_ORDER:
+            item.add_marker(pytest.mark.slow)
+
+
 MOST_MAPS = 30_000
 """Half of what Linux lets one process map; each compiled program takes some."""
 

@@ -26,7 +26,7 @@ RANKS = """
     candidates forces
     chain_dense chain_elimination
     chain_solve
-    steppers.advance steppers.linear_euler steppers.runge_kutta
+    steppers.advance steppers.linear_euler steppers.extrapolated_euler steppers.runge_kutta steppers.midpoint
     steppers
     trajectory energy
     snapshot
@@ -36,6 +36,8 @@ RANKS = """
     margin
     verdict
     statics
+    progress
+    error_control
     rollout examine
     pieces
     measures gradients

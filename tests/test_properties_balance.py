@@ -105,6 +105,15 @@ def test_time_runs_backwards_too(method, seed):
     assert _there_and_back(slider(seed, damped=False, friction=False), method, 1e-5) < 1e-6
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_midpoint_rule_comes_back_at_any_step(seed):
+    """Time-reversible, as far as its Newton passes converge; at the same steps another method of order two is far off."""
+    for scene, dt in ((free(seed, damped=False), 1e-4), (slider(seed, damped=False, friction=False), DT)):
+        missed = {m: _there_and_back(scene, m, dt) for m in ("midpoint", "extrapolated_euler")}
+        assert missed["midpoint"] < 1e-9
+        assert missed["extrapolated_euler"] > 1e-5
+
+
 @pytest.mark.parametrize("method", HIGH_ORDER)
 def test_way_back_is_missed_by_the_order_of_the_method(method):
     scene = replace(free(0, damped=False), gravity=jnp.zeros(2))
@@ -193,7 +202,7 @@ def test_angular_momentum_of_a_free_sheet(method, seed):
     """Joint dampers are internal: only the method's own error turns the sheet, and falls with its order."""
     coarse, fine = (_spin_drift(method, seed, dt) for dt in (1e-4, 5e-5))
     assert order(coarse, fine) > ORDER[method] - 0.4
-    assert fine < {1: 1e-2, 4: 1e-7}[ORDER[method]]
+    assert fine < {1: 1e-2, 2: 1e-3, 4: 1e-7}[ORDER[method]]
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
@@ -295,7 +304,7 @@ def test_settled_sheet_stays(method):
     state = jax.jit(diffeed.settle)(scene)
     track = run(scene, method, initial=state).sheets["strip"]
     fall = 9810.0 * 0.01
-    assert np.max(np.abs(track.velocities)) < {1: 1e-9, 4: 1e-9}[ORDER[method]] * fall
+    assert np.max(np.abs(track.velocities)) < 1e-9 * fall
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -331,7 +340,7 @@ def test_kick_grows_above_the_euler_load_only(method):
     growth = np.log(rates[1.5][-1] / rates[1.5][-41]) / (40 * 5e-4)
     assert slowest < 0.0
     # The kick is the first mode: its exponential growth is that of the unstable mode. Order one at this step: 5 %.
-    assert growth == pytest.approx(-slowest, rel={1: 0.05, 4: 1e-3}[ORDER[method]])
+    assert growth == pytest.approx(-slowest, rel={1: 0.05, 2: 5e-3, 4: 1e-3}[ORDER[method]])
 
 
 # --- one bar ---------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases.differentials import change_of, forward
-from cases.scenes import DT, DURATION, FRAMES, HIGH_ORDER, METHODS, STRUCTURES, clamped, draw, run
+from cases.scenes import DT, DURATION, FRAMES, HIGH_ORDER, METHODS, ROUNDING, STRUCTURES, clamped, draw, run
 from cases.transforms import (
     carried,
     difference,
@@ -243,7 +243,7 @@ def test_homogeneity_in_units(structure, method, group):
     weighted = map_numbers(scene, lambda owner, name, v: v * dimensions(owner, name)[group])
     value, actual = _along(structure, method, weighted, DT if group == 1 else 0.0)
     expected = map_numbers(value, lambda owner, name, v: v * dimensions(owner, name)[group])
-    _close(value, expected, actual)
+    _close(value, expected, actual, 1e-8 * ROUNDING.get(method, 1.0))
 
 
 @differentiated

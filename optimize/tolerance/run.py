@@ -46,7 +46,7 @@ def run_of(
     study = problem.study
     initial = None if rest is None else diffeed.settle(scene, near=rest)
     return diffeed.simulate(
-        scene, study.duration, study.dt, study.frames, study.method, initial=initial,
+        scene, study.duration, frames=study.frames, **study.stepping, initial=initial,
         observe=tuple(sorted({*problem.observe, *extra})),
     )  # fmt: skip
 

@@ -27,8 +27,10 @@ from diffeed.parts import normalise
 from diffeed.records import replace
 
 METHODS = diffeed.METHODS
-ORDER = {"linear_euler": 1, "runge_kutta": 4}
+ORDER = {"linear_euler": 1, "extrapolated_euler": 2, "midpoint": 2, "runge_kutta": 4}
 """Order of convergence in smooth motion; a new method must be named here."""
+ROUNDING = {"extrapolated_euler": 5.0}
+"""Rounding of a step, in those of one linear solve: twice that of two half steps and that of a whole one."""
 HIGH_ORDER = tuple(m for m in METHODS if ORDER[m] >= 4)
 DURATION, DT, FRAMES = 0.01, 5e-5, 3
 

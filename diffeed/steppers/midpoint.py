@@ -1,0 +1,84 @@
+"""Implicit midpoint rule: order two, time-reversible, no damping of its own; a few linear solves per step.
+
+The middle of the step is where implicit Euler of half a step ends; the end is as far beyond it as the start is before.
+The middle is found by Newton's method on the plain equations of motion, (q' - q'_0)/(h/2) = a(q, q'), with the matrix of
+`linear_euler`: an approximation (friction's secant, the positive part of the geometric stiffness) that costs a pass or two
+and no accuracy. Without friction and dampers energy does not drift. Stiff damped contact is followed, not damped away:
+`linear_euler` and `extrapolated_euler` are the methods for large steps.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed import chain_solve
+from diffeed.contact import Kept
+from diffeed.forces import Contacts, Step, assemble
+from diffeed.kinematics import Pose
+from diffeed.model import Model
+from diffeed.records import replace
+from diffeed.state import State, mean_per_sheet, spread
+from diffeed.steppers import linear_euler, runge_kutta
+from diffeed.steppers.advance import advance_positions
+from diffeed.sums import from_mean
+from diffeed.system import System
+
+PASSES = 5
+"""Corrections per step; the first guess is a half step of `linear_euler`."""
+
+
+def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
+    """One step; also the contacts of the state it started from."""
+    half = 0.5 * h
+    guess, touching = linear_euler.step(model, state, half, kept)
+
+    def improve(guess: State, _: None) -> tuple[State, None]:
+        return _corrected(model, state, guess, half, kept), None
+
+    middle, _ = jax.lax.scan(improve, guess, None, length=PASSES)
+    after = jax.tree.map(lambda m, s: 2.0 * m - s, middle, state)
+    return replace(after, time=state.time + h, stretch=middle.stretch), touching
+
+
+def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
+    """One pass of Newton's method on the middle of the step."""
+    slope, _ = runge_kutta.derivative(model, guess, half, kept)
+    missing = {
+        name: getattr(slope, name) - (getattr(guess, name) - getattr(start, name)) / half
+        for name in ("vx", "vy", "rate", "travel_rate", "spin")
+    }
+    system, at, _ = assemble(model, guess, Step(half, True), kept)
+    change = chain_solve.solve(_for_correction(model, system, at, missing), model.layout)
+    m, f = model.rollers.n_movable, model.rollers.n_free
+    moving = replace(
+        start,
+        vx=guess.vx + half * mean_per_sheet(model.layout, change.x),
+        vy=guess.vy + half * mean_per_sheet(model.layout, change.y),
+        rate=guess.rate + half * change.w,
+        travel_rate=guess.travel_rate + half * change.border[:m],
+        spin=guess.spin + half * change.border[m : m + f],
+        stretch=guess.stretch,
+    )
+    return advance_positions(model, moving, half)
+
+
+def _for_correction(model: Model, system: System, at: Pose, missing: dict[str, Array]) -> System:
+    """The matrix of an implicit step, with the inertia times the missing acceleration on the right: (M + hC + h^2 K) d = M r."""
+    bars, layout = model.bars, model.layout
+    bar = 2.0 * bars.half_length * missing["rate"]
+    dx, dy = from_mean(layout, jnp.stack([bar * at.s, -bar * at.c]))
+    x, y = spread(layout, missing["vx"]) + dx, spread(layout, missing["vy"]) + dy
+    still = jnp.zeros_like(at.x)
+    border, clamps = system.border, system.clamps
+    if border is not None:
+        masses = jnp.concatenate([model.rollers.mass, model.rollers.inertia])
+        border = border._replace(rhs=masses * jnp.concatenate([missing["travel_rate"], missing["spin"]]))
+    if clamps is not None:
+        clamps = clamps._replace(rhs=jnp.tensordot(clamps.columns, jnp.stack([x, y, missing["rate"]]), axes=2))
+    return system._replace(
+        bars=system.bars._replace(fx=bars.mass * x, fy=bars.mass * y, fw=bars.inertia * missing["rate"]),
+        bias_x=still,
+        bias_y=still,
+        border=border,
+        clamps=clamps,
+    )
