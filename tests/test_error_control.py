@@ -29,7 +29,8 @@ def converged() -> np.ndarray:
 
 @pytest.mark.parametrize("stepper", ESTIMATING)
 def test_error_falls_with_the_tolerance(stepper, converged):
-    """The start is an impact: rollers turn at full speed under a film at rest."""
+    """The start is an impact: rollers turn at full speed under a film at rest. Steps go as the square root of the tolerance
+    (the error of a step of order one is h^2), and so does the error at the end: to a tenth for a hundredth."""
     errors, steps = [], []
     for tolerance in (1e-2, 1e-4):
         run = diffeed.simulate(FEEDER, method=stepper, tolerance=tolerance, **SHORT)
@@ -38,17 +39,17 @@ def test_error_falls_with_the_tolerance(stepper, converged):
         assert run.ok
         assert float(run.time[-1]) == pytest.approx(0.02, abs=1e-12)
         assert float(run.dt) == pytest.approx(0.02 / steps[-1])
-    assert errors[0] < 0.02
-    assert errors[1] < 0.1 * errors[0]
+    assert errors[0] < 0.03
+    assert errors[1] < 0.2 * errors[0]
     assert steps[0] < steps[1] < 400
 
 
 def test_beats_equal_steps_at_the_same_number(converged):
-    run = diffeed.simulate(FEEDER, tolerance=1e-3, **SHORT)
+    run = diffeed.simulate(FEEDER, method="extrapolated_euler", tolerance=1e-3, **SHORT)
     # Each step is two half steps and a whole one, to see the error: three of the others for one.
     equal = lead(FEEDER, duration=0.02, dt=0.02 / (3 * int(run.steps)), frames=5)
     chosen = np.max(np.abs(np.asarray(run.sheets["film"].nodes[:, 0]) - converged))
-    assert chosen < 0.2 * np.max(np.abs(np.asarray(equal) - converged))
+    assert chosen < 0.3 * np.max(np.abs(np.asarray(equal) - converged))
 
 
 def test_steps_are_short_in_the_impact_and_long_after_it():
@@ -56,7 +57,7 @@ def test_steps_are_short_in_the_impact_and_long_after_it():
         diffeed.simulate(FEEDER, duration=t, frames=2, tolerance=1e-3, most_steps=400).steps for t in (5e-3, 0.05)
     ]
     first, rest = int(frames[0]), int(frames[1]) - int(frames[0])
-    assert rest * 5e-3 < 0.5 * first * 0.045  # per second of feeding, less than half
+    assert rest * 5e-3 < 0.3 * first * 0.045  # per second of feeding, less than a third
 
 
 @pytest.mark.parametrize("stepper", ["linear_euler", pytest.param("extrapolated_euler", marks=pytest.mark.slow)])
