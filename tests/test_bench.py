@@ -66,7 +66,7 @@ def swept(tiny) -> records.Front:
         Setting("bars", "linear_euler", 1e-3, changes=("sheets.tape.bars=8",), label="another sheet"),
         Setting("precision", "linear_euler", 1e-3, precision="float32", label="float32"),
     ]
-    return fronts.front(tiny, "tiny.toml", settings=asked, reference_step=2.5e-4, frames=5, fewest=1)
+    return fronts.front(tiny, "tiny.toml", settings=asked, reference_step=2.5e-4, fewest=1)
 
 
 def row_of(error: float | None, run: float | None, dt: float = 1e-4, **more) -> records.Row:
@@ -123,6 +123,17 @@ def test_differences_name_the_worst_place():
     assert found["slip"] == (0.5, "x")
     assert found["force"] == (0.0, "x")
     assert differences(mine._replace(slip={}, force={}), other._replace(slip={}, force={}))["slip"] is None
+
+
+@pytest.mark.parametrize(
+    ("duration", "largest", "gaps"), [(1.0, 1e-3, 100), (0.01, 1e-3, 10), (0.06, 0.02, 3), (0.01, 0.1, 1)]
+)
+def test_frames_leave_the_largest_step_as_it_is(duration, largest, gaps):
+    assert fronts.frames_for(duration, largest) == gaps + 1
+
+
+def test_steps_are_those_asked_for(swept):
+    assert [r.steps for r in swept.rows[:3]] == [20, 40, 80]
 
 
 def test_the_uncertainty_is_the_difference_from_twice_the_step(swept):
@@ -323,8 +334,9 @@ def test_pictures_of_every_kind_are_written(swept, tmp_path):
         "batch": lambda: charts.batch([{"precision": "float64", "samples": 1, "samples_per_second": 2.0}], "cpu"),
     }
     for name, draw in made.items():
-        files.write_rows(tmp_path, tmp_path, name, {}, draw)
-        assert (tmp_path / f"{name}.png").stat().st_size > 5000, name
+        (tmp_path / "draft").mkdir()
+        assert files.write_rows(tmp_path / "draft", tmp_path / name, name, {}, draw) == [f"{name}.png", f"{name}.json"]
+        assert (tmp_path / name / f"{name}.png").stat().st_size > 5000, name
 
 
 # --- growth, features, batches ------------------------------------------------------------------------------------------
@@ -425,14 +437,15 @@ def test_a_scene_without_the_word_front_is_what_front_does(monkeypatch):
         (("bench", "no_such_machine"), "no such file, nor a shipped scene"),
         (("bench", "film_feeder", "--dt", "0"), "'--dt': 0"),
         (("bench", "film_feeder", "--duration", "-1"), "'--duration': -1"),
-        (("bench", "film_feeder", "--set", "rollers.drvie.radius=3"), 'did you mean "drive_1"?'),
+        (("bench", "film_feeder", "--set", "rollers.drvie.radius=3"), 'did you mean "drive_3"?'),
         (("advise", "film_feeder"), "Missing option '--error'"),
         (("advise", "film_feeder", "--error", "-1"), "'--error': -1"),
         (("advise", "film_feeder", "--error", "1", "--from", "/nowhere"), "/nowhere cannot be read: No such file"),
         (("bench", "batch", "--size", "0"), "'--size': 0"),
     ],
 )
-def test_a_bad_argument_gives_one_clear_message(words, says):
+def test_a_bad_argument_gives_one_clear_message(words, says, monkeypatch):
+    monkeypatch.setattr("diffeed.bench.cli.set_up", lambda **_: None)  # it would change this process
     done = invoke(*words)
     assert done.exit_code == 2
     assert says in done.output
@@ -469,7 +482,9 @@ def run_command(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_from_a_scene_to_advice(tmp_path):
     scene, out = tmp_path / "tiny.toml", tmp_path / "out"
     scene.write_text(TINY)
-    done = run_command("bench", scene, "--dt", "1e-3", "--dt", "5e-4", "--duration", "0.01", "--out", out)
+    done = run_command(
+        "bench", scene, "--dt", "1e-3", "--dt", "5e-4", "--duration", "0.01", "--only-steps", "--out", out
+    )
     assert done.returncode == 0, done.stderr
     assert max(len(line) for line in done.stdout.splitlines() if str(tmp_path) not in line) <= 80
     assert "linear_euler" in done.stdout

@@ -1,5 +1,6 @@
 """Which setting to use: the cheapest of a sweep that meets the wanted errors, and how sure that is."""
 
+import itertools
 import shlex
 from dataclasses import dataclass
 
@@ -113,7 +114,7 @@ def _falls(front: Front, near: list[Row], measure: str) -> bool:
     """From coarse to fine no error grows, but for those that are below what the reference can tell."""
     errors = [r.errors.get(measure) for r in near]
     known = [e for e in errors if e is not None]
-    steps = zip(known, known[1:], strict=False)
+    steps = itertools.pairwise(known)
     return len(known) == len(errors) and all(b <= a or not resolved(front, measure, b) for a, b in steps)
 
 

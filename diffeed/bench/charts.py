@@ -1,5 +1,6 @@
 """Pictures of benchmarks. Each function takes plain records and returns the axes; nothing is shown or saved."""
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +26,7 @@ def front(found: Front) -> "Axes":
 
     shown = [m for m in MEASURES if any(r.errors.get(m) for r in found.rows)]
     if not shown:
-        ax = plot_style.axes(None)
-        ax.text(0.5, 0.5, "no errors to show: see the table", transform=ax.transAxes, ha="center")
-        return ax
+        return _nothing()
     size = (plot_style.WIDTH, HEIGHT * len(shown))
     figure, made = pyplot.subplots(len(shown), 1, figsize=size, dpi=150, layout="constrained", squeeze=False)
     styles = _styles(found)
@@ -41,6 +40,12 @@ def front(found: Front) -> "Axes":
     for ax, measure in zip(made[:, 0], shown, strict=True):
         _name_points(ax, found, measure)
     return made[0, 0]
+
+
+def _nothing() -> "Axes":
+    ax = plot_style.axes(None)
+    ax.text(0.5, 0.5, "nothing to show: see the table", transform=ax.transAxes, ha="center")
+    return ax
 
 
 def _styles(found: Front) -> dict[str, dict[str, Any]]:
@@ -67,9 +72,9 @@ def _draw_measure(ax: "Axes", found: Front, measure: str, styles: dict[str, dict
     shown = [r for r in found.rows if r.ok and r.errors.get(measure)]
     for kind, style in styles.items():
         own = [r for r in shown if _kind(r) == kind]
-        at = [r.run_seconds for r in own], [r.errors[measure] for r in own]
-        filled = {} if own and own[0].setting.numerical else {"markerfacecolor": "white"}
-        ax.plot(*at, linestyle="none", markersize=5, label=kind, **style, **filled)
+        points = np.array([(r.run_seconds, r.errors[measure]) for r in own], float).reshape(-1, 2)
+        filled: dict[str, Any] = {} if own and own[0].setting.numerical else {"markerfacecolor": "white"}
+        ax.plot(*points.T, linestyle="none", markersize=5, label=kind, **style, **filled)
     best = [found.rows[k] for k in on_front(found)[measure]]
     best = [r for r in best if r.errors[measure]]  # no logarithm of an error of zero
     ax.plot(
@@ -120,7 +125,7 @@ def _line(ax: "Axes", found: Front, measure: str) -> np.ndarray:
     """Points along the front, close enough that no name fits between two."""
     best = [found.rows[k] for k in on_front(found)[measure]]
     corners = _on_page(ax, [(r.run_seconds, r.errors[measure]) for r in best if r.errors[measure]])
-    pieces = [np.linspace(a, b, 80) for a, b in zip(corners, corners[1:], strict=False)]
+    pieces = [np.linspace(a, b, 80) for a, b in itertools.pairwise(corners)]
     return np.concatenate([corners, *pieces])
 
 
@@ -134,7 +139,7 @@ def place_names(ax: "Axes", names: list[str], spots: np.ndarray, points: np.ndar
     if not names:
         return
     box = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted())
-    frame = tuple(72.0 * v for v in (box.x0, box.y0, box.x1, box.y1))
+    frame = (72.0 * box.x0, 72.0 * box.y0, 72.0 * box.x1, 72.0 * box.y1)
     small = plot_style.SMALL - 0.5
     wanted = [
         labels.Label(name, (0.56 * small * len(name) + 2.0, small + 2.0), spot[None] + np.zeros((1, 2)))
@@ -190,10 +195,13 @@ Panel = tuple[str, str, str, dict[str, list[dict[str, Any]]]]
 def _curves(panels: list[Panel]) -> "Axes":
     from matplotlib import pyplot
 
+    panels = [p for p in panels if any(r.get(p[2]) for found in p[3].values() for r in found)]
+    if not panels:
+        return _nothing()
     rows = -(-len(panels) // 2)
     size = (plot_style.WIDTH, 2.3 * rows + 0.2)
     _, made = pyplot.subplots(rows, 2, figsize=size, dpi=150, layout="constrained", squeeze=False)
-    for ax, (vertical, horizontal, key, series) in zip(made.flat, panels, strict=True):
+    for ax, (vertical, horizontal, key, series) in zip(made.flat, panels, strict=False):
         for i, (name, found) in enumerate(series.items()):
             known = [r for r in found if r.get(key)]
             at = [r["size"] for r in known], [r[key] for r in known]
@@ -205,6 +213,8 @@ def _curves(panels: list[Panel]) -> "Axes":
         _log_ticks(ax)
         if len(series) > 1:
             ax.legend(fontsize=plot_style.SMALL - 0.5, frameon=False, loc="best")
+    for ax in made.flat[len(panels) :]:
+        ax.set_visible(False)
     return made.flat[0]
 
 

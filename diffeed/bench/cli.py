@@ -1,5 +1,6 @@
 """The commands `bench` and `advise`. Heavy imports stay inside them: a help text must come at once."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -29,6 +30,10 @@ DT = click.option(
     multiple=True,
     help="A time step to try, s, instead of the usual ones. Repeatable.",
 )
+
+
+QUIET = 30.0
+"""s between two lines of progress where there is no terminal."""
 
 
 class SceneGroup(click.Group):
@@ -69,6 +74,7 @@ Examples:
 @SET
 @DT
 @QUICK
+@click.option("--only-steps", is_flag=True, help="Leave out other numbers of bars, precisions and models.")
 @FORCE
 def front(scene: str, out: Path | None, force: bool, **options: Any) -> None:
     """Run SCENE at several settings and compare each with a converged run: error against run time."""
@@ -221,7 +227,7 @@ def advise(
     wanted = {"lead": error, "slip": slip_error, "force": force_error}
     wanted = {name: limit for name, limit in wanted.items() if limit is not None}
     with stoppable(), refusing(BenchError):
-        found = _load(scene, source, **options) if source else _sweep(scene, **options, quick=True, models=False)
+        found = _load(scene, source, **options) if source else _sweep(scene, **options, quick=True, only_steps=True)
         met = _tell(found, wanted)
     raise SystemExit(0 if met else 1)
 
@@ -278,23 +284,23 @@ def _sweep(
     assignments: tuple[str, ...],
     steps: tuple[float, ...],
     quick: bool,
-    models: bool = True,
+    only_steps: bool,
 ) -> "Front":
     set_up(keep=False)
     say(f"{scene}: checking")
     changes = {} if duration is None else {"duration": duration}
     sound = load_sound(scene, assignments, changes, None, None)
-    return patiently(lambda: _front(sound, scene, assignments, steps, quick, models))
+    return patiently(lambda: _front(sound, scene, assignments, steps, quick, only_steps))
 
 
 def _front(
-    sound: "Scene", name: str, assignments: tuple[str, ...], steps: tuple[float, ...], quick: bool, models: bool
+    sound: "Scene", name: str, assignments: tuple[str, ...], steps: tuple[float, ...], quick: bool, only_steps: bool
 ) -> "Front":
     from diffeed.bench import settings
     from diffeed.bench.front import front as run
 
     chosen = steps or (settings.QUICK_STEPS if quick else settings.STEPS)
-    others = settings.knobs(sound, chosen) if models else []
+    others = [] if only_steps else settings.knobs(sound, chosen)
     with _bar() as show:
         return run(
             sound, name, steps=chosen, settings=[*settings.sweep(chosen), *others], assignments=assignments, show=show
@@ -320,7 +326,7 @@ def _publish(out: Path | None, draft: Path | None, write: Callable[[Path, Path],
 
 @contextmanager
 def _bar() -> Iterator[Callable[[int, int, str], None]]:
-    """Progress over the settings, in a terminal only."""
+    """Progress over the settings; a line now and then where there is no terminal."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     screen = console(stderr=True)
@@ -328,7 +334,13 @@ def _bar() -> Iterator[Callable[[int, int, str], None]]:
     with Progress(*columns, TextColumn("{task.fields[now]}"), console=screen, disable=not screen.is_terminal) as bar:
         task = bar.add_task("", total=1, now="")
 
+        told = time.monotonic()
+
         def show(done: int, total: int, text: str) -> None:
+            nonlocal told
             bar.update(task, completed=done, total=total, now=text)
+            if not screen.is_terminal and time.monotonic() - told > QUIET:
+                say(f"{done} of {total}: {text}")
+                told = time.monotonic()
 
         yield show

@@ -9,8 +9,19 @@ from typing import Any
 
 from diffeed.bench.jaxprs import count_equations
 from diffeed.bench.timing import timed
-from diffeed.parts import ArcGuide, CircleGuide, FixedRoller, LineGuide, Load, Motion, MovableRoller, Profile, Scene
-from diffeed.parts import Sensor, normalise
+from diffeed.parts import (
+    ArcGuide,
+    CircleGuide,
+    FixedRoller,
+    LineGuide,
+    Load,
+    Motion,
+    MovableRoller,
+    Profile,
+    Scene,
+    Sensor,
+    normalise,
+)
 from diffeed.records import replace
 from diffeed.rollout import simulate
 from diffeed.scene_file import load_scene

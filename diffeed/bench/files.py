@@ -63,10 +63,8 @@ def front_table(front: Front) -> str:
     cost = ["compile (s)", "run (s)", "runs", "steps", "us per step", "run s per simulated s"]
     errors = [f"{title} error ({unit})" for title, unit, _ in MEASURES.values()]
     places = [f"{title} where" for title, _, _ in MEASURES.values()]
-    writer.writerow(
-        ["group", "setting", "method", "dt (s)", "tolerance (mm)", "precision", "changes", "status", "reason"]
-        + cost + errors + places
-    )  # fmt: skip
+    words = ["group", "setting", "method", "dt (s)", "tolerance (mm)", "precision", "changes", "status", "reason"]
+    writer.writerow([*words, *cost, *errors, *places])
     for row in front.rows:
         s = row.setting
         words = [s.group, s.name, s.method, s.dt, s.tolerance, s.precision, " ".join(s.changes), row.status, row.reason]

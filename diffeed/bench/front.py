@@ -21,7 +21,8 @@ from diffeed.steppers import DEFAULT, EXPLICIT
 
 FINER = 5.0
 """How many times smaller than the smallest step of the sweep the reference's is."""
-FRAMES = 101
+GAPS = 100
+"""Most intervals between frames."""
 
 Show = Callable[[int, int, str], None]
 """Told of every run: how many are done, of how many, and what comes now."""
@@ -41,7 +42,7 @@ def front(
     steps: Sequence[float] = STEPS,
     settings: Sequence[Setting] | None = None,
     reference_step: float | None = None,
-    frames: int = FRAMES,
+    frames: int | None = None,
     fewest: int = 3,
     assignments: tuple[str, ...] = (),
     show: Show = lambda done, total, text: None,
@@ -52,6 +53,7 @@ def front(
     """
     scene, steps, host = normalise(scene), tuple(steps), machine()
     asked = [*sweep(steps), *knobs(scene, steps)] if settings is None else list(settings)
+    frames = frames or frames_for(scene.duration, max(s.dt for s in asked))
     total = len(asked) + 2
     finished = []
     for done, setting in enumerate(asked):
@@ -72,12 +74,17 @@ def front(
     )
 
 
+def frames_for(duration: float, largest: float) -> int:
+    """As many frames as leave the largest step as long as it is: `simulate` shortens a step to fit between two frames."""
+    return 1 + max(1, min(GAPS, int(duration / largest + 1e-9)))
+
+
 def scene_key(scene: Scene) -> str:
     """Names a scene and its duration: a benchmark of another one does not fit."""
     return hashlib.sha256(scene_text(scene).encode()).hexdigest()[:16]
 
 
-def run_setting(scene: Scene, setting: Setting, frames: int = FRAMES, fewest: int = 3) -> Finished:
+def run_setting(scene: Scene, setting: Setting, frames: int, fewest: int = 3) -> Finished:
     """Check, settle, compile and run; what goes wrong is told in the row."""
     try:
         with precision(setting.precision), warnings.catch_warnings():

@@ -42,7 +42,7 @@ def growth(quick: bool = False, show: Show = lambda done, total, text: None) -> 
     ]
     rows, total = [], sum(len(sizes) for _, sizes, _ in series)
     for name, sizes, run in series:
-        rows += one_series(name, sizes, run, lambda k, text: show(len(rows) + k, total, text))
+        rows += one_series(name, sizes, run, lambda k, text, before=len(rows): show(before + k, total, text))
     return rows
 
 
