@@ -387,7 +387,14 @@ def test_a_size_that_fails_is_a_row_and_one_that_takes_too_long_ends_its_series(
     assert rows == [
         {"series": "bars", "size": 1, "reason": "no room"}, {"series": "bars", "size": 2, "us_per_step": 1.0}
     ]  # fmt: skip
-    assert "not run: 2 took" in growth.one_series("bars", (2, 3), run, patience=-1.0)[1]["reason"]
+    assert "not run: would take" in growth.one_series("bars", (2, 3), run, patience=-1.0)[1]["reason"]
+
+
+def test_a_series_ends_before_the_size_that_takes_too_long():
+    assert growth.expect((), (), 10.0) == 0.0
+    assert growth.expect((10.0,), (5.0,), 30.0) == pytest.approx(15.0)
+    assert growth.expect((10.0, 30.0), (5.0, 5.0), 90.0) == pytest.approx(15.0)
+    assert growth.expect((10.0, 30.0), (5.0, 15.0), 90.0) == pytest.approx(135.0)
 
 
 @pytest.mark.parametrize(("guides", "driven", "nips"), [(2, 4, 0), (5, 7, 0), (2, 4, 3)])

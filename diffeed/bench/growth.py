@@ -16,8 +16,8 @@ from diffeed.rollout import simulate
 BARS = (20, 50, 100, 200, 500)
 PARTS = (10, 30, 100, 300, 1000)
 SECONDS = (1.0, 3.0, 10.0)
-PATIENCE = 60.0
-"""s: a series ends with the size that took longer than this, compiling included."""
+PATIENCE = 120.0
+"""s: a series ends before the size that would take longer than this, compiling included, by the two sizes before it."""
 DT = 1e-4
 
 Show = Callable[[int, int, str], None]
@@ -55,23 +55,32 @@ def one_series(
 ) -> list[dict[str, Any]]:
     """Rows of one series; what fails or would take too long says so."""
     rows: list[dict[str, Any]] = []
-    reason = ""
-    for size in sizes:
+    took: list[float] = []
+    for k, size in enumerate(sizes):
         row: dict[str, Any] = {"series": name, "size": size}
-        show(len(rows), f"{size:g} {TITLES.get(name, name)}")
+        show(k, f"{size:g} {TITLES.get(name, name)}")
         begun = time.perf_counter()
-        if reason:
-            row["reason"] = reason
+        expected = expect(sizes[:k], took, size)
+        if expected > patience:
+            row["reason"] = f"not run: would take {expected:.0f} s or so"
         else:
             try:
                 row |= run(size)
             except Exception as error:  # too large for the machine: an answer, not an end
                 row["reason"] = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
-        took = time.perf_counter() - begun
-        if took > patience:
-            reason = f"not run: {size:g} took {took:.0f} s already"
+        took.append(max(time.perf_counter() - begun, expected if expected > patience else 0.0))
         rows.append(row)
     return rows
+
+
+def expect(sizes: Sequence[float], took: Sequence[float], size: float) -> float:
+    """Seconds that a size will take: the growth of the last two, and one power more, for the worst is to come."""
+    if not took:
+        return 0.0
+    power = 1.0
+    if len(took) > 1 and took[-1] > took[-2] > 0.0:
+        power += float(np.log(took[-1] / took[-2]) / np.log(sizes[-1] / sizes[-2]))
+    return took[-1] * (size / sizes[-1]) ** power
 
 
 def _of(make: Callable[[int], Scene]) -> Callable[[int], dict[str, Any]]:
