@@ -47,7 +47,7 @@ RANKS = """
     session
     bench bench.settings bench.timing bench.machine bench.outcome
     bench.jaxprs bench.pareto bench.records
-    bench.front bench.transport bench.memory bench.batch
+    bench.front bench.transport bench.batch bench.point
     bench.growth bench.features
     bench.report bench.charts bench.files bench.advise
     bench.cli

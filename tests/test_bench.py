@@ -14,7 +14,20 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
-from diffeed.bench import advise, batch, features, files, growth, jaxprs, pareto, records, report, settings, transport
+from diffeed.bench import (
+    advise,
+    batch,
+    features,
+    files,
+    growth,
+    jaxprs,
+    pareto,
+    point,
+    records,
+    report,
+    settings,
+    transport,
+)
 from diffeed.bench import front as fronts
 from diffeed.bench.outcome import Outcome, differences
 from diffeed.bench.settings import Setting
@@ -207,6 +220,7 @@ def test_knobs_change_one_thing_each_and_say_what(tiny):
         ([1.0, 1.0], [2.0, 1.0], [1]),
         ([1.0, 1.0], [1.0, 1.0], [0]),
         ([1.0, None, 2.0, 3.0], [None, 1.0, float("nan"), 5.0], [3]),
+        ([float("nan"), 2.0, float("inf")], [0.1, 1.0, 0.1], [1]),
         ([], [], []),
     ],
 )
@@ -378,23 +392,30 @@ def test_growth_follows_powers():
 
 
 def test_a_size_that_fails_is_a_row_and_one_that_takes_too_long_ends_its_series():
-    def run(size: int) -> dict[str, float]:
+    def run(size: float) -> dict[str, float]:
         if size == 1:
             raise MemoryError("no room\nat all")
-        return {"us_per_step": 1.0}
+        if size == 3:
+            raise point.TooLong("stopped after 7 s")
+        return {"us_per_step": size}
 
-    rows = growth.one_series("bars", (1, 2), run)
-    assert rows == [
-        {"series": "bars", "size": 1, "reason": "no room"}, {"series": "bars", "size": 2, "us_per_step": 1.0}
-    ]  # fmt: skip
-    assert "not run: would take" in growth.one_series("bars", (2, 3), run, patience=-1.0)[1]["reason"]
+    rows = growth.one_series("bars", (1, 2, 3, 4), run)
+    assert [r.get("reason") for r in rows] == ["no room", None, "stopped after 7 s", "not run: 3 took too long"]
+    assert rows[1] == {"series": "bars", "size": 2, "us_per_step": 2}
 
 
-def test_a_series_ends_before_the_size_that_takes_too_long():
-    assert growth.expect((), (), 10.0) == 0.0
-    assert growth.expect((10.0,), (5.0,), 30.0) == pytest.approx(15.0)
-    assert growth.expect((10.0, 30.0), (5.0, 5.0), 90.0) == pytest.approx(15.0)
-    assert growth.expect((10.0, 30.0), (5.0, 15.0), 90.0) == pytest.approx(135.0)
+def test_every_series_that_is_swept_is_known():
+    assert set(growth.SWEEP) == set(point.SERIES)
+
+
+def test_a_process_of_its_own_tells_its_memory_its_failure_and_is_stopped():
+    row = point.run_apart("bars", 4, 300.0)
+    assert row["peak_mb"] > 50.0
+    assert {"compile_seconds", "us_per_step"} < set(row)
+    with pytest.raises(RuntimeError, match="KeyError: 'wings'"):
+        point.run_apart("wings", 4, 300.0)
+    with pytest.raises(point.TooLong, match="stopped after 0 s"):
+        point.run_apart("bars", 4, 0.01)
 
 
 @pytest.mark.parametrize(("guides", "driven", "nips"), [(2, 4, 0), (5, 7, 0), (2, 4, 3)])

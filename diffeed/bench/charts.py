@@ -212,7 +212,10 @@ def _curves(panels: list[Panel]) -> "Axes":
         plot_style.label(ax, horizontal, vertical)
         _log_ticks(ax)
         if len(series) > 1:
-            ax.legend(fontsize=plot_style.SMALL - 0.5, frameon=False, loc="best")
+            ax.legend(
+                fontsize=plot_style.SMALL - 0.5, frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2,
+                columnspacing=1.2,
+            )  # fmt: skip
     for ax in made.flat[len(panels) :]:
         ax.set_visible(False)
     return made.flat[0]

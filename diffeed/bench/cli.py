@@ -1,5 +1,6 @@
 """The commands `bench` and `advise`. Heavy imports stay inside them: a help text must come at once."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -89,15 +90,18 @@ def front(scene: str, out: Path | None, force: bool, **options: Any) -> None:
 
 @bench.command(context_settings=SETTINGS)
 @OUT
+@click.option(
+    "--patience", type=click.FloatRange(1.0), default=300.0, show_default=True, help="Longest time for one size, s."
+)
 @QUICK
 @FORCE
-def growth(out: Path | None, quick: bool, force: bool) -> None:
+def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
     """How cost grows with bars, parts, samples and length of the run."""
     from diffeed.bench.files import names_of, write_rows
     from diffeed.bench.report import print_growth
 
     with stoppable(), _draft(out, names_of("growth"), force) as draft:
-        rows, machine = _measured(lambda show: _growth(quick, show))
+        rows, machine = _measured(lambda show: _growth(quick, patience, show))
         from diffeed.bench import charts
         from diffeed.bench.growth import exponents
 
@@ -165,6 +169,7 @@ def batch(out: Path | None, force: bool, **options: Any) -> None:
 
 def _measured(run: Callable[[Any], list[dict[str, Any]]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Rows, and the machine they were measured on, which is told at once."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
     set_up(keep=False)
     from diffeed.bench.machine import machine, sentence
 
@@ -174,10 +179,10 @@ def _measured(run: Callable[[Any], list[dict[str, Any]]]) -> tuple[list[dict[str
         return patiently(lambda: run(show)), found
 
 
-def _growth(quick: bool, show: Any) -> list[dict[str, Any]]:
+def _growth(quick: bool, patience: float, show: Any) -> list[dict[str, Any]]:
     from diffeed.bench.growth import growth
 
-    return growth(quick, show)
+    return growth(quick, patience, show)
 
 
 def _features(show: Any) -> list[dict[str, Any]]:
