@@ -281,6 +281,13 @@ def test_a_result_is_sure_only_with_margin_and_neighbours_that_agree():
     assert not advise.advise(front_of(LINE, doubt=0.2), {"lead": 0.5}).sure, "the reference is as bad"
 
 
+def test_a_coarser_neighbour_that_fails_is_told():
+    broken = [row_of(None, None, 1e-3, status="failed"), *LINE[1:]]
+    found = advise.advise(front_of(broken), {"lead": 0.9})
+    assert found.row is broken[1]
+    assert any("at 1e-3 s the run failed" in r for r in found.reasons)
+
+
 def test_another_model_is_named_but_not_chosen():
     other = row_of(0.3, 0.01, group="bars")
     found = front_of([*LINE, other])

@@ -88,22 +88,19 @@ def _judge(front: Front, row: Row, wanted: dict[str, float]) -> tuple[list[str],
 
 def _neighbours(front: Front, row: Row, measure: str) -> tuple[str, bool]:
     """Whether the error falls with the step (or tolerance) from the next coarser to the next finer setting."""
-    line = [
-        r
-        for r in front.rows
-        if r.ok and r.setting.group == row.setting.group and r.setting.method == row.setting.method
-    ]
+    kind = (row.setting.group, row.setting.method)
+    line = [r for r in front.rows if (r.setting.group, r.setting.method) == kind]
     line.sort(key=lambda r: -_size(r))
     k = next(i for i, r in enumerate(line) if r is row)
-    near = line[max(0, k - 1) : k + 2]
-    if len(near) < 3:
-        return "at the end of the sweep: a neighbour is missing, so the trend is half known", len(near) == 2 and _falls(
-            front, near, measure
-        )
-    if _falls(front, near, measure):
+    near = [r for r in line[max(0, k - 1) : k + 2] if r.ok]
+    if not _falls(front, near, measure):
+        shown = ", ".join(f"{digits(r.errors.get(measure))} at {r.setting.size}" for r in near)
+        return f"its neighbours do not agree ({shown}): the error may be small by chance", False
+    if len(near) == 3:
         return "its neighbours agree: the error falls as the step does", True
-    shown = ", ".join(f"{digits(r.errors.get(measure))} at {r.setting.size}" for r in near)
-    return f"its neighbours do not agree ({shown}): the error may be small by chance", False
+    if k > 0 and not line[k - 1].ok:
+        return f"at {line[k - 1].setting.size} the run failed; the finer neighbour agrees", len(near) > 1
+    return "at the end of the sweep: one neighbour is missing", len(near) > 1
 
 
 def _size(row: Row) -> float:

@@ -223,6 +223,7 @@ Exit status: 0 a setting meets what is wanted, 1 none does, 2 nothing can be sai
 @DURATION
 @SET
 @DT
+@QUICK
 def advise(
     scene: str, error: float, slip_error: float | None, force_error: float | None, source: Path | None, **options: Any
 ) -> None:
@@ -232,7 +233,7 @@ def advise(
     wanted = {"lead": error, "slip": slip_error, "force": force_error}
     wanted = {name: limit for name, limit in wanted.items() if limit is not None}
     with stoppable(), refusing(BenchError):
-        found = _load(scene, source, **options) if source else _sweep(scene, **options, quick=True, only_steps=True)
+        found = _load(scene, source, **options) if source else _sweep(scene, **options, only_steps=True)
         met = _tell(found, wanted)
     raise SystemExit(0 if met else 1)
 
@@ -264,14 +265,19 @@ def _tell(found: "Front", wanted: dict[str, float]) -> bool:
 
 
 def _load(
-    scene: str, source: Path, duration: float | None, assignments: tuple[str, ...], steps: tuple[float, ...]
+    scene: str,
+    source: Path,
+    duration: float | None,
+    assignments: tuple[str, ...],
+    steps: tuple[float, ...],
+    quick: bool,
 ) -> "Front":
     from diffeed.bench.files import load_front
     from diffeed.bench.front import scene_key
     from diffeed.bench.records import BenchError
 
-    if steps:
-        raise Refusal("--dt is for a new sweep: leave it out, or leave out --from")
+    if steps or quick:
+        raise Refusal("--dt and --quick are for a new sweep: leave them out, or leave out --from")
     found = load_front(source)
     set_up(keep=False)
     sound = load_sound(scene, assignments, {} if duration is None else {"duration": duration}, None, None)

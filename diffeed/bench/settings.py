@@ -16,7 +16,7 @@ from diffeed.rollout import simulate
 from diffeed.steppers import DEFAULT, METHODS
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
-QUICK_STEPS = (1e-3, 5e-4, 2e-4)
+QUICK_STEPS = (5e-4, 2e-4, 1e-4)
 TOLERANCES = (1e-1, 1e-2, 1e-3)
 """mm in one step, of error-controlled runs."""
 NUMERICAL = ("step", "tolerance")
