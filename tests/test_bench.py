@@ -73,7 +73,7 @@ def tiny() -> diffeed.Scene:
 def swept(tiny) -> records.Front:
     """Three steps of one method, a step that cannot be, and a change that cannot be."""
     asked = [
-        *settings.sweep(STEPS, ("linear_euler",)),
+        *(Setting("step", "linear_euler", dt) for dt in STEPS),
         Setting("step", "runge_kutta", 1e-3),
         Setting("bars", "linear_euler", 1e-3, changes=("sheets.strip.bars=0",), label="no bars"),
         Setting("bars", "linear_euler", 1e-3, changes=("sheets.tape.bars=8",), label="another sheet"),
@@ -175,7 +175,7 @@ def test_a_run_that_fails_says_when_and_why(tiny):
 
 def test_no_reference_is_told_and_the_rows_remain(tiny):
     fast = diffeed.put(tiny, "sheets.strip.speed", 1e9)
-    found = fronts.front(fast, settings=settings.sweep((1e-3,), ("linear_euler",)), frames=3, fewest=1)
+    found = fronts.front(fast, settings=[Setting("step", "linear_euler", 1e-3)], frames=3, fewest=1)
     assert found.reference is None
     assert [r.status for r in found.rows] == ["failed"]
     assert "No reference, so no errors" in report.notes(found)[-1]
