@@ -487,7 +487,8 @@ def test_a_bad_argument_gives_one_clear_message(words, says, monkeypatch):
     assert "Traceback" not in done.output
 
 
-def test_results_are_not_overwritten_without_force(tmp_path):
+def test_results_are_not_overwritten_without_force(tmp_path, monkeypatch):
+    monkeypatch.setattr("diffeed.bench.cli._measured", lambda run: pytest.fail("it ran"))
     (tmp_path / "growth.json").write_text("precious")
     done = invoke("bench", "growth", "--out", tmp_path)
     assert done.exit_code == 2
