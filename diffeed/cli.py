@@ -1,27 +1,34 @@
 """The command `diffeed`. Heavy imports stay inside the commands: a help text must come at once."""
 
-import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import diffeed
-from diffeed import tuning
+from diffeed.bench.cli import advise, bench
+from diffeed.session import (
+    METHOD,
+    SCENE,
+    SET,
+    interrupted,
+    leave_at_once,
+    load_sound,
+    patiently,
+    say,
+    set_up,
+    stoppable,
+)
 from diffeed.terminal import SETTINGS, console, refusing
 
 if TYPE_CHECKING:
     from diffeed.parts import Scene
     from diffeed.trajectory import Trajectory
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -47,17 +54,6 @@ class Progress:
     pieces: list["Trajectory"] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stopped: bool = False
-
-
-SCENE = click.argument("scene")
-SET = click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="PATH=VALUE",
-    help="Change a value of the scene, e.g. rollers.drive_1.radius=10.2 or guides.turn.center[1]=80. Repeatable.",
-)
-METHOD = click.option("--method", help="Time stepper; a wrong name lists them. Default: the robust implicit one.")
 
 
 @click.group(
@@ -107,7 +103,7 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 @click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
 def run(**arguments: Any) -> None:
     """Run SCENE, a shipped scene's name (see `diffeed scenes`) or a TOML file, and report how the sheet ran."""
-    with _stoppable():
+    with stoppable():
         status = _run(Request(**arguments))
     sys.exit(status)
 
@@ -128,9 +124,9 @@ Exit status: 0 sound, 2 something is wrong.
 @SET
 def check(scene: str, dt: float | None, method: str | None, assignments: tuple[str, ...]) -> None:
     """Say everything that is wrong with SCENE, or "sound"."""
-    with _stoppable():
-        _set_up(float32=False)
-        _load_sound(scene, assignments, {}, dt, method)
+    with stoppable():
+        set_up(float32=False)
+        load_sound(scene, assignments, {}, dt, method)
     click.echo("sound")
 
 
@@ -141,6 +137,10 @@ def scenes() -> None:
         click.echo(f"{name}\n{click.wrap_text(purpose, width=78, initial_indent='  ', subsequent_indent='  ')}")
 
 
+main.add_command(bench)
+main.add_command(advise)
+
+
 def _run(ask: Request) -> int:
     from diffeed.outputs import OutputError, draft_of, refuse_overwriting
 
@@ -148,46 +148,13 @@ def _run(ask: Request) -> int:
         if ask.out and not ask.force:
             refuse_overwriting(ask.out)
         begun = time.perf_counter()
-        _set_up(ask.float32)
-        _say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
+        set_up(ask.float32)
+        say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
-        scene = _load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance)
+        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance)
         with draft_of(ask.out) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
             return _finish(ask, scene, progress, draft)
-
-
-def _set_up(float32: bool) -> None:
-    """Settings of this process, before anything is compiled."""
-    import jax
-
-    jax.config.update("jax_enable_x64", not float32)
-    tuning.compile_quickly()
-    if problem := tuning.keep_compilations():
-        _say(problem)
-
-
-def _load_sound(
-    where: str,
-    assignments: tuple[str, ...],
-    changes: dict[str, Any],
-    dt: float | None,
-    method: str | None,
-    tolerance: float | None = None,
-) -> "Scene":
-    from diffeed.check_records import SceneError, checked
-    from diffeed.paths import PathError, parse_assignment, put
-    from diffeed.records import replace
-
-    with refusing(SceneError, PathError):
-        scene = diffeed.load_scene(where)
-        for text in assignments:
-            scene = put(scene, *parse_assignment(text))
-        scene = replace(scene, **changes)
-        problems = _patiently(lambda: diffeed.check(scene, dt, method, tolerance))
-        if problems:
-            raise SceneError(problems, where)
-        return checked(scene)
 
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
@@ -200,14 +167,14 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     progress = Progress(seconds=[begun])
     try:
         with _bar(scene.duration) as show:
-            while (piece := _patiently(lambda: next(pieces, None))) is not None:
+            while (piece := patiently(lambda: next(pieces, None))) is not None:
                 progress.pieces.append(piece)
                 progress.seconds.append(time.perf_counter())
                 show(float(piece.time[-1]))
     except KeyboardInterrupt:
         if not progress.pieces:
             raise
-        _interrupted.clear()
+        interrupted.clear()
         progress.stopped = True
     return progress
 
@@ -228,12 +195,12 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
         }  # fmt: skip
     print_report(console(), summary)
     if not trajectory.ok:
-        _say(f"The run failed {trajectory.failure.describe()}.\n{_hint(ask, int(trajectory.failure.cause))}")
+        say(f"The run failed {trajectory.failure.describe()}.\n{_hint(ask, int(trajectory.failure.cause))}")
     if ask.out and draft:
         names = write_files(draft, ask.out, scene, trajectory, summary)
         click.echo(f"written to {ask.out}: {', '.join(names)}")
     if progress.stopped:
-        _leave_at_once(130)
+        leave_at_once(130)
     return 0 if trajectory.ok else 1
 
 
@@ -295,62 +262,6 @@ def _bar(duration: float) -> Iterator[Callable[[float], None]]:
             bar.update(task, completed=seconds, done=f"{seconds:.4g} of {duration:.4g} s")
 
         yield show
-
-
-def _say(text: str) -> None:
-    click.echo(text, err=True)
-
-
-def _patiently(function: Callable[[], T]) -> T:
-    """Call in a thread of its own, so that Ctrl-C is answered while a program compiles."""
-    results: list[T] = []
-    errors: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            results.append(function())
-        except BaseException as error:
-            errors.append(error)
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
-    while worker.is_alive():
-        worker.join(0.5)
-        if _interrupted.is_set():
-            raise KeyboardInterrupt
-    if errors:
-        raise errors[0]
-    return results[0]
-
-
-_interrupted = threading.Event()
-"""Ctrl-C was pressed and not yet answered: an exception raised inside a callback of a library may be lost there."""
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Ctrl-C ends the command where it stands."""
-
-    def interrupt(*_: Any) -> None:
-        _interrupted.set()
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    except KeyboardInterrupt:
-        _say("stopped by Ctrl-C; nothing was written")
-        _leave_at_once(130)
-    finally:
-        signal.signal(signal.SIGINT, before)
-        _interrupted.clear()
-
-
-def _leave_at_once(status: int) -> None:
-    """Leave without waiting for a step or a compilation that still runs in its thread."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
 
 
 if __name__ == "__main__":

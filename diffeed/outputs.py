@@ -25,11 +25,11 @@ class OutputError(Exception):
     """Files cannot be written, or must not be."""
 
 
-def refuse_overwriting(folder: Path) -> None:
+def refuse_overwriting(folder: Path, files: tuple[str, ...] = FILES) -> None:
     """Nothing is overwritten without being asked to."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder} is a file; name a folder for the results")
-    there = [name for name in FILES if (folder / name).exists()]
+    there = [name for name in files if (folder / name).exists()]
     if there:
         raise OutputError(
             f"{folder} already holds {', '.join(there)}; name another folder, or add --force to replace them"
@@ -51,10 +51,17 @@ def draft_of(folder: Path) -> Iterator[Path]:
 
 def write_files(draft: Path, folder: Path, scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> list[str]:
     """Write every file of the run and move them to `folder`; the names of the files."""
+    return write_all(draft, folder, _writers(scene, trajectory, summary), FILES)
+
+
+def write_all(
+    draft: Path, folder: Path, writers: dict[str, Callable[[Path], Any]], files: tuple[str, ...]
+) -> list[str]:
+    """Write into the draft, then move to `folder`, in place of all `files` of an earlier run; the names written."""
     with _plain_errors(f"the results were not written to {folder}"):
-        for name, write in _writers(scene, trajectory, summary).items():
+        for name, write in writers.items():
             write(draft / name)
-        return _publish(draft, folder)
+        return _publish(draft, folder, files)
 
 
 def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
@@ -98,13 +105,13 @@ def _picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
     return lambda path: plot_style.save(path, draw)
 
 
-def _publish(draft: Path, folder: Path) -> list[str]:
-    """Move the draft into place: in one go if there is no such folder yet, else file by file, the summary last."""
-    names = [name for name in FILES if (draft / name).exists()]
+def _publish(draft: Path, folder: Path, files: tuple[str, ...]) -> list[str]:
+    """Move the draft into place: in one go if there is no such folder yet, else file by file, the last of `files` last."""
+    names = [name for name in files if (draft / name).exists()]
     if not folder.exists():
         os.rename(draft, folder)
         return names
-    for name in reversed(FILES):
+    for name in reversed(files):
         (folder / name).unlink(missing_ok=True)
     for name in names:
         os.replace(draft / name, folder / name)

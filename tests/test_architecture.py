@@ -46,7 +46,14 @@ RANKS = """
     plot player
     gradient_trust gradient_faults
     report outputs
-    bench cli
+    session
+    bench bench.settings bench.timing bench.machine bench.outcome
+    bench.jaxprs bench.pareto bench.records
+    bench.front bench.transport bench.batch bench.point
+    bench.growth bench.features
+    bench.report bench.charts bench.files bench.advise
+    bench.cli
+    cli
     __init__
 """
 """Modules by rank, lowest first; modules of one line may not import each other upwards either (a line is ordered)."""

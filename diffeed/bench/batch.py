@@ -1,0 +1,76 @@
+"""Samples per second in a batch, on whatever device JAX has."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from diffeed.bench.timing import precision, timed
+from diffeed.examine import prepare
+from diffeed.parts import Scene, SinglePrecision, normalise
+from diffeed.records import replace
+from diffeed.rollout import simulate
+
+SIZES = (1, 4, 16, 64, 256, 1024)
+QUICK_SIZES = (1, 4, 16, 64)
+STEPS = 200
+"""Steps of every run: enough that starting them does not count."""
+SPREAD = 0.01
+"""Share by which the samples' moduli differ: they are not one sample many times."""
+
+Show = Callable[[int, int, str], None]
+
+
+def batch(
+    scene: Scene,
+    sizes: Sequence[int] = SIZES,
+    precisions: Sequence[str] = ("float64", "float32"),
+    dt: float = 1e-4,
+    steps: int = STEPS,
+    fewest: int = 3,
+    show: Show = lambda done, total, text: None,
+) -> list[dict[str, Any]]:
+    """One row per precision and size: compile and run time, samples per second, time per sample and step."""
+    rows = []
+    for name in precisions:
+        for size in sizes:
+            show(len(rows), len(precisions) * len(sizes), f"{size} samples, {name}")
+            row = {"precision": name, "samples": size}
+            try:
+                with precision(name), warnings.catch_warnings():
+                    warnings.simplefilter("ignore", SinglePrecision)
+                    row |= _measure(normalise(scene), size, dt, steps, fewest)
+            except Exception as error:  # a batch that does not fit into memory is an answer too
+                row["reason"] = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+            rows.append(row)
+    return rows
+
+
+def _measure(scene: Scene, size: int, dt: float, steps: int, fewest: int) -> dict[str, Any]:
+    state = prepare(scene).state
+
+    def program(scenes: Scene, state: Any) -> Any:
+        def one(scene: Scene) -> Any:
+            done = simulate(scene, duration=dt * steps, dt=dt, frames=2, initial=state)
+            return done.ok, done.final.state
+
+        return jax.vmap(one)(scenes)
+
+    made = timed(program, samples(scene, size), state, fewest=fewest)
+    return {
+        "compile_seconds": made.compile,
+        "run_seconds": made.run,
+        "samples_per_second": size / made.run,
+        "us_per_sample_step": 1e6 * made.run / (size * steps),
+        "failed": int(size - jnp.sum(made.value[0])),
+    }
+
+
+def samples(scene: Scene, size: int) -> Scene:
+    """A batch of scenes that differ a little in their sheets' moduli."""
+    many = jax.tree.map(lambda v: jnp.broadcast_to(v, (size, *v.shape)), normalise(scene))
+    factor = 1.0 + SPREAD * jnp.linspace(-1.0, 1.0, size, dtype=many.gravity.dtype)
+    sheets = {name: replace(s, youngs_modulus=s.youngs_modulus * factor) for name, s in many.sheets.items()}
+    return replace(many, sheets=sheets)

@@ -1,0 +1,357 @@
+"""The commands `bench` and `advise`. Heavy imports stay inside them: a help text must come at once."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from diffeed.session import SCENE, SET, load_sound, patiently, say, set_up, stoppable
+from diffeed.terminal import SETTINGS, Refusal, console, refusing
+
+if TYPE_CHECKING:
+    from diffeed.bench.records import Front
+    from diffeed.parts import Scene
+
+OUT = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FOLDER", help="Write data and a picture into FOLDER."
+)
+FORCE = click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
+QUICK = click.option("--quick", is_flag=True, help="Fewer settings and smaller sizes.")
+DURATION = click.option(
+    "--duration", type=click.FloatRange(0, min_open=True), help="Length of the run, s; default: the scene's own."
+)
+DT = click.option(
+    "--dt",
+    "steps",
+    type=click.FloatRange(0, min_open=True),
+    multiple=True,
+    help="A time step to try, s, instead of the usual ones. Repeatable.",
+)
+
+
+QUIET = 30.0
+"""s between two lines of progress where there is no terminal."""
+
+
+class SceneGroup(click.Group):
+    """`bench SCENE` is `bench front SCENE`; a scene that is named like a benchmark needs its path, or `front`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
+            args = ["front", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(
+    cls=SceneGroup,
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed bench film_feeder --out costs
+  diffeed bench growth --out costs
+  diffeed bench front --help
+""",
+)
+def bench() -> None:
+    """Measure what speed costs in accuracy; `bench SCENE` is `bench front SCENE`."""
+
+
+@bench.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed bench film_feeder --out costs
+  diffeed bench front my_machine.toml --duration 0.3 --quick
+  diffeed bench film_feeder --dt 2e-4 --dt 1e-4 --dt 5e-5
+""",
+)
+@SCENE
+@OUT
+@DURATION
+@SET
+@DT
+@QUICK
+@click.option("--only-steps", is_flag=True, help="Leave out other numbers of bars, precisions and models.")
+@FORCE
+def front(scene: str, out: Path | None, force: bool, **options: Any) -> None:
+    """Run SCENE at several settings and compare each with a converged run: error against run time."""
+    from diffeed.bench.files import FRONT, write_front
+    from diffeed.bench.report import print_front
+
+    with stoppable(), _draft(out, FRONT, force) as draft:
+        found = _sweep(scene, **options)
+        print_front(console(), found)
+        _publish(out, draft, lambda draft, folder: write_front(draft, folder, found))
+
+
+@bench.command(context_settings=SETTINGS)
+@OUT
+@click.option(
+    "--patience", type=click.FloatRange(1.0), default=300.0, show_default=True, help="Longest time for one size, s."
+)
+@QUICK
+@FORCE
+def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
+    """How cost grows with bars, parts, samples and length of the run."""
+    from diffeed.bench.files import names_of, write_rows
+    from diffeed.bench.report import print_growth
+
+    with stoppable(), _draft(out, names_of("growth"), force) as draft:
+        rows, machine = _measured(lambda show: _growth(quick, patience, show))
+        from diffeed.bench import charts
+        from diffeed.bench.growth import exponents
+
+        print_growth(console(), rows, exponents(rows))
+        data = {"machine": machine, "rows": rows, "exponents": exponents(rows)}
+        _publish(
+            out, draft, lambda draft, folder: write_rows(draft, folder, "growth", data, lambda: charts.growth(rows))
+        )
+
+
+@bench.command(context_settings=SETTINGS)
+@OUT
+@FORCE
+def features(out: Path | None, force: bool) -> None:
+    """What each feature costs: a scene with all of them, and with one taken away."""
+    from diffeed.bench.files import names_of, write_rows
+    from diffeed.bench.report import print_features
+
+    with stoppable(), _draft(out, names_of("features"), force) as draft:
+        rows, machine = _measured(lambda show: _features(show))
+        from diffeed.bench import charts
+        from diffeed.bench.features import free_of_charge
+
+        paid = free_of_charge(rows)
+        print_features(console(), rows, paid)
+        data = {"machine": machine, "rows": rows, "values_not_kinds": paid[1]}
+        _publish(
+            out, draft, lambda draft, folder: write_rows(draft, folder, "features", data, lambda: charts.features(rows))
+        )
+
+
+@bench.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed bench batch
+  diffeed bench batch my_machine.toml --size 256 --size 4096 --out costs
+""",
+)
+@click.argument("scene", default="film_feeder")
+@click.option("--size", "sizes", type=click.IntRange(1, 10**6), multiple=True, help="Samples in a batch. Repeatable.")
+@click.option("--dt", type=click.FloatRange(0, min_open=True), default=1e-4, show_default=True, help="Time step, s.")
+@OUT
+@SET
+@QUICK
+@FORCE
+def batch(out: Path | None, force: bool, **options: Any) -> None:
+    """Samples per second of SCENE (film_feeder) in a batch, in float64 and float32, on the device that JAX has."""
+    from diffeed.bench.files import names_of, write_rows
+    from diffeed.bench.report import print_batch
+
+    with stoppable(), _draft(out, names_of("batch"), force) as draft:
+        rows, machine = _measured(lambda show: _batch(show, **options))
+        from diffeed.bench import charts
+        from diffeed.bench.batch import STEPS
+
+        print_batch(console(), rows, STEPS)
+        data = {"scene": options["scene"], "machine": machine, "steps": STEPS, "rows": rows}
+        _publish(
+            out, draft, lambda draft, folder: write_rows(
+                draft, folder, "batch", data, lambda: charts.batch(rows, machine["device"])
+            ),
+        )  # fmt: skip
+
+
+def _measured(run: Callable[[Any], list[dict[str, Any]]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows, and the machine they were measured on, which is told at once."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
+    set_up(keep=False)
+    from diffeed.bench.machine import machine, sentence
+
+    found = machine()
+    say(sentence(found))
+    with _bar() as show:
+        return patiently(lambda: run(show)), found
+
+
+def _growth(quick: bool, patience: float, show: Any) -> list[dict[str, Any]]:
+    from diffeed.bench.growth import growth
+
+    return growth(quick, patience, show)
+
+
+def _features(show: Any) -> list[dict[str, Any]]:
+    from diffeed.bench.features import features
+
+    return features(show=show)
+
+
+def _batch(
+    show: Any, scene: str, sizes: tuple[int, ...], dt: float, assignments: tuple[str, ...], quick: bool
+) -> list[dict[str, Any]]:
+    from diffeed.bench.batch import QUICK_SIZES, SIZES, batch
+
+    sound = load_sound(scene, assignments, {}, dt, None)
+    return batch(sound, sizes or (QUICK_SIZES if quick else SIZES), dt=dt, show=show)
+
+
+@click.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed advise film_feeder --error 0.2
+  diffeed advise film_feeder --error 0.2 --slip-error 0.5 --from costs
+\b
+Exit status: 0 a setting meets what is wanted, 1 none does, 2 nothing can be said.
+""",
+)
+@SCENE
+@click.option(
+    "--error", type=click.FloatRange(0, min_open=True), required=True, help="Wanted: lead edge within so many mm."
+)
+@click.option("--slip-error", type=click.FloatRange(0, min_open=True), help="And RMS slip within so many mm/s.")
+@click.option("--force-error", type=click.FloatRange(0, min_open=True), help="And nip forces within so many N.")
+@click.option(
+    "--from", "source", type=click.Path(path_type=Path), metavar="FOLDER",
+    help="Use the benchmark of this scene in FOLDER instead of running a small one.",
+)  # fmt: skip
+@DURATION
+@SET
+@DT
+@QUICK
+def advise(
+    scene: str, error: float, slip_error: float | None, force_error: float | None, source: Path | None, **options: Any
+) -> None:
+    """Name the cheapest settings that run SCENE as accurately as wanted, and say how sure that is."""
+    from diffeed.bench.records import BenchError
+
+    wanted = {"lead": error, "slip": slip_error, "force": force_error}
+    wanted = {name: limit for name, limit in wanted.items() if limit is not None}
+    with stoppable(), refusing(BenchError):
+        found = _load(scene, source, **options) if source else _sweep(scene, **options, only_steps=True)
+        met = _tell(found, wanted)
+    raise SystemExit(0 if met else 1)
+
+
+def _tell(found: "Front", wanted: dict[str, float]) -> bool:
+    from diffeed.bench.advise import advise as choose
+    from diffeed.bench.advise import call, cheaper_models, command
+    from diffeed.bench.machine import sentence
+    from diffeed.bench.report import digits
+
+    advice = choose(found, wanted)
+    row = advice.row
+    if advice.met:
+        click.echo(f"Use {row.setting.short}.")
+    else:
+        click.echo(f"Nothing in the sweep is as accurate as wanted. The best there is: {row.setting.short}.")
+    per_step = "" if row.microseconds() is None else f", {digits(row.microseconds())} us per step"
+    click.echo(f"It costs {digits(row.cost(found.duration))} s per simulated second{per_step}, and "
+               f"{digits(row.compile_seconds)} s to compile.")  # fmt: skip
+    for reason in advice.reasons:
+        click.echo(f"  {reason}")
+    if advice.met:
+        click.echo("Sure: margins are wide and neighbours agree." if advice.sure else "Not sure: see the reasons above.")
+    for other in cheaper_models(found, row, wanted) if advice.met else []:
+        click.echo(f"Cheaper, but another model or precision: {other}")
+    click.echo(f"\n  {command(found, row)}\n  {call(row)}\n")
+    click.echo(f"Timed on {sentence(found.machine)}")
+    return advice.met
+
+
+def _load(
+    scene: str,
+    source: Path,
+    duration: float | None,
+    assignments: tuple[str, ...],
+    steps: tuple[float, ...],
+    quick: bool,
+) -> "Front":
+    from diffeed.bench.files import load_front
+    from diffeed.bench.front import scene_key
+    from diffeed.bench.records import BenchError
+
+    if steps or quick:
+        raise Refusal("--dt and --quick are for a new sweep: leave them out, or leave out --from")
+    found = load_front(source)
+    set_up(keep=False)
+    sound = load_sound(scene, assignments, {} if duration is None else {"duration": duration}, None, None)
+    if scene_key(sound) != found.key:
+        raise BenchError(
+            f"{source} holds a benchmark of another scene, or of other values or another duration of this one "
+            f"({found.scene}, {found.duration:g} s); give the same --set and --duration, or leave out --from"
+        )
+    return found
+
+
+def _sweep(
+    scene: str,
+    duration: float | None,
+    assignments: tuple[str, ...],
+    steps: tuple[float, ...],
+    quick: bool,
+    only_steps: bool,
+) -> "Front":
+    set_up(keep=False)
+    say(f"{scene}: checking")
+    changes = {} if duration is None else {"duration": duration}
+    sound = load_sound(scene, assignments, changes, None, None)
+    return patiently(lambda: _front(sound, scene, assignments, steps, quick, only_steps))
+
+
+def _front(
+    sound: "Scene", name: str, assignments: tuple[str, ...], steps: tuple[float, ...], quick: bool, only_steps: bool
+) -> "Front":
+    from diffeed.bench import settings
+    from diffeed.bench.front import front as run
+
+    chosen = steps or (settings.QUICK_STEPS if quick else settings.STEPS)
+    others = [] if only_steps else settings.knobs(sound, chosen)
+    with _bar() as show:
+        return run(
+            sound, name, steps=chosen, settings=[*settings.sweep(chosen), *others], assignments=assignments, show=show
+        )
+
+
+@contextmanager
+def _draft(out: Path | None, files: tuple[str, ...], force: bool) -> Iterator[Path | None]:
+    """Refuse early what could not be written; an unwritten folder leaves nothing."""
+    from diffeed.outputs import OutputError, draft_of, refuse_overwriting
+
+    with refusing(OutputError):
+        if out and not force:
+            refuse_overwriting(out, files)
+        with draft_of(out) if out else nullcontext() as draft:
+            yield draft
+
+
+def _publish(out: Path | None, draft: Path | None, write: Callable[[Path, Path], list[str]]) -> None:
+    if out and draft:
+        click.echo(f"written to {out}: {', '.join(write(draft, out))}")
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[int, int, str], None]]:
+    """Progress over the settings; a line now and then where there is no terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    screen = console(stderr=True)
+    columns = (TextColumn("{task.completed:.0f} of {task.total:.0f}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("{task.fields[now]}"), console=screen, disable=not screen.is_terminal) as bar:
+        task = bar.add_task("", total=1, now="")
+
+        told = time.monotonic()
+
+        def show(done: int, total: int, text: str) -> None:
+            nonlocal told
+            bar.update(task, completed=done, total=total, now=text)
+            if not screen.is_terminal and time.monotonic() - told > QUIET:
+                say(f"{done} of {total}: {text}")
+                told = time.monotonic()
+
+        yield show

@@ -1,0 +1,46 @@
+"""The machine on which times were taken, in words."""
+
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores that this process may use, versions, and the device that JAX computes on."""
+    import jax
+
+    import diffeed
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    device = jax.devices()[0]
+    return {
+        "processor": _processor(),
+        "cores": cores,
+        "device": f"{device.platform}: {device.device_kind}",
+        "jax": jax.__version__,
+        "diffeed": diffeed.__version__,
+        "python": platform.python_version(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+    }
+
+
+def sentence(found: dict[str, Any]) -> str:
+    """One line; says so if other programs were at work."""
+    busy = found.get("load")
+    noise = f"; {busy:.1f} other tasks ran when it began, so times are noisy" if busy and busy > 0.5 else ""
+    return (
+        f"{found['processor']}, {found['cores']} cores, {found['device']}; jax {found['jax']}, "
+        f"diffeed {found['diffeed']}{noise}"
+    )
+
+
+def _processor() -> str:
+    """The model's name: Linux knows it, other systems say what they can."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine() or "processor unknown"

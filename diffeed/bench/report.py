@@ -1,0 +1,195 @@
+"""Benchmarks as tables for a terminal of 80 columns, and in words."""
+
+from typing import TYPE_CHECKING, Any
+
+from diffeed.bench.machine import sentence
+from diffeed.bench.outcome import MEASURES
+from diffeed.bench.pareto import pareto
+from diffeed.bench.records import Front, Row
+from diffeed.terminal import plain_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+BELOW = 3.0
+"""An error is told from the reference's own uncertainty when it is this many times larger."""
+
+
+def print_front(console: "Console", front: Front) -> None:
+    """Every setting with its cost and errors, then what could not be run, the reference and the machine."""
+    best = on_front(front)
+    columns = [f"{title}\n{unit}".replace(" ", "\n") for title, unit, _ in MEASURES.values()]
+    cost = ["compile\ns", "run\ns per s", "us per\nstep"]
+    own = [r for r in front.rows if r.setting.numerical]
+    others = [r for r in front.rows if not r.setting.numerical]
+    title = f"{front.scene}, {front.duration:g} s: errors against a finer run (* best for its time)"
+    if own:
+        _print(console, title, plain_table("method, step", *cost, *columns), _by_method(front, best, own))
+    if others:
+        title = f"One change of {others[0].setting.short}, at a time: differences of model"
+        _print(console, title, plain_table("change", *cost, *columns), [
+            (r.setting.label, *_cells(front, best, r)) for r in others
+        ])  # fmt: skip
+    for line in notes(front):
+        console.print(f"\n{line}")
+    console.print(f"\n{sentence(front.machine)}", style="dim")
+
+
+def _by_method(front: Front, best: dict[str, list[int]], rows: list[Row]) -> list[tuple[str, ...]]:
+    """A line with each method, then one per step; of a method that never ran the first line alone."""
+    lines: list[tuple[str, ...]] = []
+    for kind in dict.fromkeys((r.setting.method, r.setting.group) for r in rows):
+        own = [r for r in rows if (r.setting.method, r.setting.group) == kind]
+        name = kind[0] if kind[1] == "step" else f"{kind[0]}, {kind[1]}"
+        ran = any(r.ok for r in own)
+        lines.append((name, "" if ran else own[0].status, *[""] * (1 + len(best))))
+        lines += [(f"  {r.setting.size}", *_cells(front, best, r)) for r in own if ran]
+    return lines
+
+
+def _print(console: "Console", title: str, table: "Table", rows: list[tuple[str, ...]]) -> None:
+    for row in rows:
+        table.add_row(*row)
+    console.print(f"\n{title}", style="bold")
+    console.print(table)
+
+
+def on_front(front: Front) -> dict[str, list[int]]:
+    """By measure: the rows on the front of run time against error, those that solve the scene as it is."""
+    own = [r if r.setting.numerical and r.ok else None for r in front.rows]
+    times = [None if r is None else r.run_seconds for r in own]
+    return {m: pareto(times, [None if r is None else r.errors.get(m) for r in own]) for m in MEASURES}
+
+
+def _cells(front: Front, best: dict[str, list[int]], row: Row) -> list[str]:
+    if row.status != "ok":
+        return [row.status, "", "", *["-"] * len(MEASURES)]
+    cost = [row.compile_seconds, row.cost(front.duration), row.microseconds()]
+    return [digits(v) for v in cost] + [_error(front, best, row, m) for m in MEASURES]
+
+
+def _error(front: Front, best: dict[str, list[int]], row: Row, measure: str) -> str:
+    value = row.errors.get(measure)
+    unclear = "" if value is None or resolved(front, measure, value) else "~"
+    star = "*" if any(row is front.rows[k] for k in best[measure]) else " "
+    return f"{unclear}{digits(value, 2)}{star}"
+
+
+def resolved(front: Front, measure: str, error: float) -> bool:
+    """Whether an error stands clear of the reference's own uncertainty."""
+    doubt = None if front.reference is None else front.reference.uncertainty.get(measure)
+    return doubt is None or error >= BELOW * doubt
+
+
+def notes(front: Front) -> list[str]:
+    """What could not be run, what the reference is and how far it can be trusted, measure by measure."""
+    found = broken(front)
+    if front.reference is None:
+        return [*found, f"No reference, so no errors: {front.no_reference}"]
+    doubts = {m: u for m, u in front.reference.uncertainty.items() if u is not None}
+    parts = [f"{MEASURES[m][0]} {digits(u)} {MEASURES[m][1]} ({front.reference.where[m]})" for m, u in doubts.items()]
+    found.append(
+        f"Errors are against {front.reference.setting.short} ({front.reference.run_seconds:.3g} s to run). It differs from "
+        f"twice that step by: {', '.join(parts)}."
+    )
+    for measure in doubts:
+        if words := unconverged(front, measure):
+            found.append(words)
+    missing = [title for m, (title, _, _) in MEASURES.items() if m not in doubts]
+    return found + ([f"This scene has no {' and no '.join(missing)} to compare."] if missing else [])
+
+
+def broken(front: Front) -> list[str]:
+    """Why rows have no errors; of a method that fails at several steps, the smallest one's cause."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in front.rows:
+        if row.status != "ok":
+            groups.setdefault((row.status, row.setting.method, row.setting.group, row.setting.label), []).append(row)
+    found = []
+    for rows in groups.values():
+        last = min(rows, key=lambda r: r.setting.dt)
+        more = f" (and at {len(rows) - 1} larger)" if len(rows) > 1 else ""
+        found.append(f"{last.setting.name}{more}: {last.status}: {last.reason}")
+    return found
+
+
+def unconverged(front: Front, measure: str) -> str:
+    """A sentence if the reference is not well below the errors of the sweep in this measure."""
+    title, unit, _ = MEASURES[measure]
+    doubt = None if front.reference is None else front.reference.uncertainty.get(measure)
+    errors = [
+        r.errors[measure] for r in front.rows if r.ok and r.setting.numerical and r.errors.get(measure) is not None
+    ]
+    blurred = [e for e in errors if e is not None and not resolved(front, measure, e)]
+    if not blurred or doubt is None:
+        return ""
+    return (
+        f"The reference is not converged in the {title}: it is itself uncertain by {digits(doubt)} {unit}, so {len(blurred)} of "
+        f"{len(errors)} errors, marked ~ and below {digits(BELOW * doubt)} {unit}, are not told from it."
+    )
+
+
+def digits(value: float | None, count: int = 3) -> str:
+    """Three digits, or so many."""
+    if value is None:
+        return "-"
+    if value == 0.0:
+        return "0"
+    if abs(value) >= 1e5 or abs(value) < 1e-4:
+        return f"{value:.1e}"
+    return f"{value:#.{count}g}".rstrip(".") if abs(value) < 10**count else f"{value:.0f}"
+
+
+def print_growth(console: "Console", rows: list[dict[str, Any]], powers: list[dict[str, Any]]) -> None:
+    """Every size, then the powers with which costs grow."""
+    headings = {"size": "size", "compile_seconds": "compile\ns", "us_per_step": "us per\nstep", "peak_mb": "peak\nMB"}
+    _print_rows(console, "Growth, on a generated transport path", "series", headings, rows)
+    console.print("samples: us per step and sample. length: s simulated, each in a process of its own.", style="dim")
+    headings = {"compile_seconds": "compile", "us_per_step": "step", "peak_mb": "peak memory"}
+    _print_rows(console, "Powers of the size with which they grow (last three sizes)", "series", headings, powers)
+    for row in rows:
+        if row.get("reason"):
+            console.print(f"{row['series']}, {row['size']:g}: {row['reason']}")
+
+
+def print_features(console: "Console", rows: list[dict[str, Any]], paid: tuple[list[str], list[str]]) -> None:
+    """The full scene and what is saved without each feature."""
+    headings = {
+        "equations": "equations",
+        "saved": "fewer",
+        "compile_seconds": "compile\ns",
+        "us_per_step": "us per\nstep",
+    }
+    shown = [r | {"without": f"without {r['without']}" if r["without"] else "everything"} for r in rows]
+    _print_rows(console, "A scene with every feature, and with one taken away", "without", headings, shown)
+    if paid[1]:
+        console.print(f"\nAs many equations without them (values, not kinds): {', '.join(paid[1])}.")
+
+
+def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> None:
+    """Every size and precision."""
+    headings = {
+        "samples": "samples",
+        "compile_seconds": "compile\ns",
+        "run_seconds": "run\ns",
+        "samples_per_second": "samples\nper s",
+        "us_per_sample_step": "us per step\nand sample",
+    }
+    _print_rows(console, f"Batches of runs of {steps} steps", "precision", headings, rows)
+    for row in rows:
+        if row.get("reason"):
+            console.print(f"{row['samples']} samples, {row['precision']}: {row['reason']}")
+        elif row.get("failed"):
+            console.print(f"{row['samples']} samples, {row['precision']}: {row['failed']} runs failed")
+
+
+def _print_rows(
+    console: "Console", title: str, first: str, headings: dict[str, str], rows: list[dict[str, Any]]
+) -> None:
+    table = plain_table(first, *headings.values())
+    _print(console, title, table, [(str(r[first]), *(_cell(r.get(key)) for key in headings)) for r in rows])
+
+
+def _cell(value: Any) -> str:
+    return str(value) if isinstance(value, int) else digits(value)

@@ -1,0 +1,45 @@
+"""Compile and run times of a program apart. JAX returns before it is done: every time is taken after waiting."""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import jax
+
+MOST, ENOUGH = 25, 1.0
+"""Runs at most, and seconds in all after which no more are added to the fewest."""
+
+
+class Timed(NamedTuple):
+    """Times of one program (s) and what it gave."""
+
+    compile: float  # tracing included
+    run: float  # median
+    repeats: int
+    value: Any
+
+
+def timed(function: Callable[..., Any], *arguments: Any, fewest: int = 3) -> Timed:
+    """Compile a function for its arguments, then run it `fewest` times or more: many times if it is short."""
+    begun = time.perf_counter()
+    compiled = jax.jit(function).lower(*arguments).compile()
+    compile_seconds = time.perf_counter() - begun
+    value, seconds = None, []
+    while len(seconds) < fewest or (fewest > 1 and len(seconds) < MOST and sum(seconds) < ENOUGH):
+        begun = time.perf_counter()
+        value = jax.block_until_ready(compiled(*arguments))
+        seconds.append(time.perf_counter() - begun)
+    return Timed(compile_seconds, statistics.median(seconds), len(seconds), value)
+
+
+@contextmanager
+def precision(name: str) -> Iterator[None]:
+    """Compute in "float64" or "float32" here; the setting of the session comes back afterwards."""
+    before = bool(jax.config.values["jax_enable_x64"])
+    jax.config.update("jax_enable_x64", name == "float64")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_x64", before)
