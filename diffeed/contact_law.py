@@ -18,9 +18,9 @@ from diffeed.smooth import power, powers, ramp
 
 SLIDES = 1.5
 """Deflection, in stick displacements, at which friction is at its limit: the bound of the deflection."""
-BRISTLE_LAG = 1e-5
+BRISTLE_LAG = 3e-5
 """s: damping over stiffness of the tangential deflection, so that sticking contacts do not ring for ever. Implicit steps
-damp far more; for an explicit one it must be short: the heavier a contact is pressed, the stiffer it is."""
+damp far more. A longer one would shorten the steps of explicit methods below what the damping of nips asks of them."""
 
 
 @record
@@ -61,6 +61,7 @@ class Grip(NamedTuple):
 
     deflection: Array  # over stick_displacement, along t: how far the sheet has been dragged over the body
     ahead: Array | float  # s: friction is that of the deflection after this time; an implicit step's length, else 0
+    pressed: Array | None = None  # kg mm/s2: the normal force by which it holds, if it is not the present one
 
 
 def contact_law(
@@ -92,7 +93,7 @@ def contact_law(
     if grip is None or surface.stick is None:
         return touch
     held, held_secant = stick_friction(surface, v_t, grip)
-    limit = friction_factor * force
+    limit = friction_factor * (force if grip.pressed is None else grip.pressed)
     return touch._replace(
         friction=jnp.where(surface.stick, limit * held, touch.friction),
         secant=jnp.where(surface.stick, limit * held_secant, secant),
@@ -135,10 +136,10 @@ def stick_friction(surface: Surface, v_t: Array, grip: Grip) -> tuple[Array, Arr
 
 
 def _held_share(reach: Array) -> Array:
-    """psi(z)/z."""
+    """psi(z)/z. The division is made safe for the gradient of the branch that is not taken, without a tie at the bound."""
     size = jnp.abs(reach)
-    bent = 1.0 - reach * reach / (3.0 * SLIDES**2)
-    return jnp.where(size < SLIDES, bent, 1.0 / jnp.maximum(size, SLIDES))
+    holds = size < SLIDES
+    return jnp.where(holds, 1.0 - reach * reach / (3.0 * SLIDES**2), 1.0 / jnp.where(holds, SLIDES, size))
 
 
 def stick_deflection(share: Array) -> Array:

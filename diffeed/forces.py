@@ -38,10 +38,17 @@ class Step(NamedTuple):
 
 
 def contacts(
-    model: Model, at: Pose, world: Bodies, kept: Kept, grip: Array | None, ahead: Array | float = 0.0
+    model: Model,
+    at: Pose,
+    world: Bodies,
+    kept: Kept,
+    grip: Array | None,
+    ahead: Array | float = 0.0,
+    pressed: Array | None = None,
 ) -> Contacts:
-    """Sweep the kept bodies. `grip` are the state's deflections; sticking friction is that of `ahead` seconds later."""
-    held = stick.of_pairs(model, grip, kept, ahead)
+    """Sweep the kept bodies. `grip` are the state's deflections; sticking friction is that of `ahead` seconds later, by the
+    normal forces `pressed` if given."""
+    held = stick.of_pairs(model, grip, kept, ahead, pressed)
     return Contacts(
         sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
         rollers=roller_contacts(model, world) if model.pairs else None,

@@ -15,7 +15,7 @@ from jax import Array, lax
 
 from diffeed import stick
 from diffeed.bodies import bodies, interpolate
-from diffeed.contact import Kept, Pairs, keep_all
+from diffeed.contact import Kept, keep_all
 from diffeed.contact_law import Surface
 from diffeed.forces import (
     Contacts,
@@ -30,10 +30,12 @@ from diffeed.forces import (
     walls,
     weight,
 )
-from diffeed.kinematics import Pose, nodes, pose
+from diffeed.kinematics import nodes, pose
 from diffeed.model import Drives, Hold, Model, Path, build
 from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.records import record, replace, word
+from diffeed.smooth import divide
+from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 
 HOLD = 0.02
@@ -77,15 +79,16 @@ def with_positions(model: Model, state: State, q: Array, v: Array) -> State:
     )  # fmt: skip
 
 
-def generalised_force(model: Model, state: State) -> Array:
+def generalised_force(model: Model, state: State, pressed: Array | None = None) -> Array:
     """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2.
 
-    Friction sticks as the state's deflections say; in a state without any it is regularised.
+    Friction sticks as the state's deflections say, by the normal forces `pressed` (the present ones if None); in a state
+    without deflections it is regularised.
     """
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
     kept = keep_all(model)
-    touching = contacts(model, at, world, kept, state.grip)
+    touching = contacts(model, at, world, kept, state.grip, pressed=pressed)
     plain = Step(jnp.ones(()), False)
     terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]
     terms += [pair_terms(model, touching.sheets, at, plain)] if touching.sheets is not None else []
@@ -206,16 +209,9 @@ def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
     if not any(still.sticks):
         return None
     creeping = with_positions(still, start, rest.q, (rest.q - positions(still, start)) / HOLD)
-    at, kept, pairs = _sliding(still, creeping)
-    return stick.at_friction(still, at, pairs, kept)
-
-
-def _sliding(still: Model, state: State) -> tuple[Pose, Kept, Pairs]:
-    """Sheets on bodies that stand still."""
-    at, kept = pose(still, state), keep_all(still)
-    pairs = contacts(still, at, bodies(still, state, state.time, state.time), kept, state.grip).sheets
-    assert pairs is not None
-    return at, kept, pairs
+    at, _, touching = look(still, creeping)
+    assert touching.sheets is not None
+    return stick.at_friction(still, at, touching.sheets, keep_all(still))
 
 
 def _imbalance(freed: Freed, rest: Rest) -> Rest:
@@ -392,7 +388,7 @@ def linearise(scene: Scene, state: State) -> Linearisation:
 
     Stiffness and damping come from the exact derivative of the forces, geometric stiffness of joint, clamp and contact
     forces included, made symmetric: `modes` and `buckling_factors` are those of the conservative part. Friction counts as
-    it acts there: regularised, as a damper; sticking, as a tangential spring.
+    it acts there: regularised, as a damper; sticking, as a tangential spring under the normal force of that state.
     """
     return _linearise(normalise(scene), state)
 
@@ -402,10 +398,11 @@ def _linearise(scene: Scene, state: State) -> Linearisation:
     model = build(scene)
     state = stick.fitted(model, state)
     q, v = positions(model, state), velocities(state)
+    pressed = None if state.grip is None else _pressed(model, state)
 
     def force(q: Array, v: Array) -> Array:
         moved = with_positions(model, state, q, v)
-        return generalised_force(model, replace(moved, grip=_dragged_grip(model, state, q)))
+        return generalised_force(model, replace(moved, grip=_dragged_grip(model, state, q)), pressed)
 
     rows = jax.jacfwd(lambda q: held_places(model, with_positions(model, state, q, v))[0])(q)
     load = force(q, v)
@@ -438,8 +435,17 @@ def _dragged_grip(model: Model, state: State, q: Array) -> Array | None:
         return None
     start = positions(model, state)
     still = at_rest(model)
-    _, kept, pairs = _sliding(still, with_positions(still, state, start, q - start))
-    return stick.moved(state.grip, *stick.pull(still, pairs, pairs.v_t, kept), 1.0)
+    pairs = look(still, with_positions(still, state, start, q - start))[2].sheets
+    assert pairs is not None
+    return stick.moved(state.grip, *stick.pull(still, pairs, pairs.v_t, keep_all(still)), 1.0)
+
+
+def _pressed(model: Model, state: State) -> Array:
+    """Normal forces of whole contacts at a state. That friction grows with them is no part of a potential: made symmetric,
+    it would soften what it does not soften."""
+    pairs = look(model, state)[2].sheets
+    assert pairs is not None
+    return divide(pairs.touch.force, pairs.weight)
 
 
 def mass_matrix(model: Model, state: State) -> Array:

@@ -27,7 +27,9 @@ def fitted(model: Model, state: State) -> State:
     return replace(state, grip=initial_grip(model))
 
 
-def of_pairs(model: Model, grip: Array | None, kept: Kept, ahead: Array | float) -> Grip | None:
+def of_pairs(
+    model: Model, grip: Array | None, kept: Kept, ahead: Array | float, pressed: Array | None = None
+) -> Grip | None:
     """What each kept pair feels: (rows, features). `ahead` (s) is the length of an implicit step, else 0."""
     if grip is None:
         return None
@@ -40,7 +42,7 @@ def of_pairs(model: Model, grip: Array | None, kept: Kept, ahead: Array | float)
     if others:
         row = on_faces if model.sticks[1] else jnp.zeros((n_features,))
         rows.append(jnp.broadcast_to(row[None, :], (others, n_features)))
-    return Grip(jnp.concatenate(rows), ahead)
+    return Grip(jnp.concatenate(rows), ahead, pressed)
 
 
 def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
