@@ -97,7 +97,7 @@ class Kept(NamedTuple):
     lines: Lines | None  # None: not looked at
     arcs: Arcs | None
     surface: Surface
-    slot: Array | None  # (rollers, features) which slot holds the roller (where circles stick: any circle); None: rows are bodies
+    slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
 
     @property

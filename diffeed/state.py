@@ -29,7 +29,7 @@ class State:
     travel_rate: Any  # (movable,) mm/s
     spin: Any  # (free,) rad/s
     stretch: Any  # (bars,) kg mm2/s2: geometric stiffness of last step's joint forces, per heading
-    grip: Any = None  # tangential deflections of sticking contacts over stick_displacement (see `stick`); None: none sticks
+    grip: Any = None  # deflections of sticking contacts over stick_displacement (see `stick`); None: none sticks
 
 
 def initial_state(model: Model, scene: Scene) -> State:

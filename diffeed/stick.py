@@ -106,7 +106,9 @@ def bounded(grip: Array | None) -> Array | None:
 def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
     """The deflections that hold the friction of `pairs`, which the regularised law gave."""
     surface = kept.surface
-    coefficient = surface.friction if surface.static_excess is None else surface.friction * (1.0 + surface.static_excess)
+    coefficient = surface.friction
+    if surface.static_excess is not None:
+        coefficient = coefficient * (1.0 + surface.static_excess)
     limit = coefficient * features(model, at).friction_factor * pairs.touch.force
     friction, most = _gather(model, pairs, kept, (pairs.touch.friction, limit))
     return stick_deflection(divide(friction, most))
