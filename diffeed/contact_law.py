@@ -3,8 +3,8 @@
 Source: the power law with indentation damping, clipped at zero (source paper, eq. 6, with the sign and the clip that
 keep it from pulling), and friction mu(v) f_n (eq. 7), in one of two kinds. Regularised over a stick speed, it creeps
 under load. Or it sticks: the surfaces hold each other through an elastic tangential deflection, as bristles do, that
-slips when friction is at its limit (after Dahl and the bristle models; here a spring that hardens nowhere and a hard
-bound on the deflection, so that what is held below the limit stands still).
+slips when friction is at its limit (after Dahl and the bristle models; here with a bound on the deflection instead of a
+relaxation towards it, so that what is held below the limit stands still).
 """
 
 from typing import Any, NamedTuple

@@ -165,7 +165,8 @@ def energy(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
 
 def energy_balance(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Where the work of the drives went, N mm: change of stored energy, each loss, and what the step itself lost
-    (`numerical`: an implicit step damps; it shrinks with dt). Needs observe=("energy",)."""
+    (`numerical`: an implicit step damps; it shrinks with dt). What friction that sticks holds for a while (below
+    mu F stick_displacement per contact) counts as lost in friction, and as won back. Needs observe=("energy",)."""
     work = dict(_seen(trajectory, "energy", "energy_balance"))
     total = energy(scene, trajectory)["total"]
     stored = total[-1] - total[0]
