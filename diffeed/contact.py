@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.bodies import Bodies, Rigid
-from diffeed.contact_law import Surface, Touch, contact_law
+from diffeed.contact_law import Grip, Surface, Touch, contact_law
 from diffeed.kinematics import Pose, to_nodes
 from diffeed.model import Arcs, Lines, Model
 from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, point_line
@@ -97,7 +97,7 @@ class Kept(NamedTuple):
     lines: Lines | None  # None: not looked at
     arcs: Arcs | None
     surface: Surface
-    slot: Array | None  # (rollers, features) which slot holds the roller; None: rows are bodies
+    slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
 
     @property
@@ -146,7 +146,8 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
 
     slot = has_slot = None
     if circles is not None:
-        hot = circles[None] == jnp.arange(rollers.n, dtype=circles.dtype)[:, None, None]
+        looked_up = n if model.sticks[0] else rollers.n
+        hot = circles[None] == jnp.arange(looked_up, dtype=circles.dtype)[:, None, None]
         slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
     return Kept(
         circle_index=circles,
@@ -165,15 +166,15 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
     )
 
 
-def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept) -> Pairs:
-    """The kept bodies against every feature of every sheet."""
+def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip | None = None) -> Pairs:
+    """The kept bodies against every feature of every sheet. Without a `grip`, friction is regularised everywhere."""
     row = features(model, at)
     near = _near(model, row, world, kept)
     rn = near.arm_x * near.ny - near.arm_y * near.nx
     rt = near.arm_x * near.nx + near.arm_y * near.ny - row.half_thickness
     v_n = near.nx * row.vx + near.ny * row.vy + row.w * rn - near.u_n
     v_t = near.nx * row.vy - near.ny * row.vx + row.w * rt - near.u_t
-    raw = contact_law(kept.surface, -near.gap, v_n, v_t, row.friction_factor)
+    raw = contact_law(kept.surface, -near.gap, v_n, v_t, row.friction_factor, grip)
     touch = Touch(*(near.weight * v for v in raw))
     # A face that turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is.
     return Pairs(touch, near.gap, near.nx, near.ny, rn, rt, v_n, v_t, near.weight, touch.force * near.lever)
@@ -258,12 +259,14 @@ def _end_circles(row: Features, near: Near, motion: Rigid | None, index: Array |
     return Closest(near.gap - row.half_thickness, near.nx, near.ny, near.weight, *arms, u_n, u_t, zero)
 
 
-def by_roller(kept: Kept, values: Array) -> Array:
-    """(k, rows, features) of circles -> (k, rollers, features): each roller's own row, or the slot that holds it."""
+def by_circle(kept: Kept, values: Array, count: int) -> Array:
+    """(k, rows, features) of circles -> (k, count, features): the own row of each of the first circles, or the slot that
+    holds it. Rollers are the first; all circles can be asked for only where circles stick."""
     if kept.slot is None or kept.has_slot is None:
         return values
-    held = jnp.take_along_axis(values, kept.slot[None], axis=1)
-    return jnp.where(kept.has_slot, held, 0.0)
+    cut = slice(None if count == kept.slot.shape[0] else count)
+    held = jnp.take_along_axis(values, kept.slot[None, cut], axis=1)
+    return jnp.where(kept.has_slot[cut], held, 0.0)
 
 
 class RollerPairs(NamedTuple):
@@ -278,7 +281,7 @@ class RollerPairs(NamedTuple):
 
 
 def roller_contacts(model: Model, world: Bodies) -> RollerPairs:
-    """Rollers against each other: a pinch rests on its drive when no sheet is there."""
+    """Rollers against each other: a pinch rests on its drive when no sheet is there. Their friction is regularised."""
     i, j = model.pair_index
     radius = model.rollers.radius
     both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, np.concatenate([i, j])]

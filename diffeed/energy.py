@@ -28,7 +28,7 @@ class Powers(NamedTuple):
     """Work and losses; as powers N mm/s, integrated over time N mm."""
 
     drives: Array  # work of driven shafts
-    friction: Array  # loss in sliding contacts
+    friction: Array  # what friction takes: lost in sliding, or lent to deflections (below mu F stick_displacement each)
     contact: Array  # loss in contact damping
     joints: Array  # loss in joint dampers
     rollers: Array  # loss in roller dampers and bearings

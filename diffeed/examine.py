@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.check_records import check_records
+from diffeed.contact_law import BRISTLE_LAG
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
 from diffeed.snapshot import look
@@ -128,6 +129,10 @@ def explicit_limit(model: Model, state: State) -> tuple[float, str]:
         causes.append((2.78 / max((4.0 * k / lightest) ** 0.5, 1e-30), "contact stiffness"))
         causes.append((2.78 * lightest / max(4.0 * c, 1e-30), "contact damping"))
         causes.append((2.78 * lightest / max(4.0 * s, 1e-30), "friction below the stick speed"))
+        if model.surface.stick is not None:
+            held = jnp.where(model.surface.stick[:, None], pairs.touch.secant, 0.0)
+            spring = float(jnp.max(held)) / BRISTLE_LAG
+            causes.append((2.78 / max((4.0 * spring / lightest) ** 0.5, 1e-30), "tangential stiffness of what sticks"))
     return min(causes)
 
 

@@ -1,8 +1,8 @@
 """Forces, one named function per cause, and `assemble`, which sums them into the system of a step.
 
 Implicit terms: with step h, a contact of force F, stiffness K and damping C adds (h^2 K + h C) g_n g_n' to the matrix
-and F - h K v_n to the force; friction adds h (mu F phi/v_t) g_t g_t' and its force. With `implicit=False` all h-terms are
-left out: the plain equations of motion.
+and F - h K v_n to the force; friction adds h (mu F phi/v_t) g_t g_t' and its force, sticking friction its own secant. With
+`implicit=False` all h-terms are left out: the plain equations of motion.
 """
 
 import functools
@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed import stick
 from diffeed.bodies import Bodies, bodies, shift_at
-from diffeed.contact import Kept, Pairs, RollerPairs, by_roller, roller_contacts, sheet_contacts
+from diffeed.contact import Kept, Pairs, RollerPairs, by_circle, roller_contacts, sheet_contacts
 from diffeed.kinematics import Pose, from_nodes, pose
 from diffeed.model import Hold, Model
 from diffeed.state import State
@@ -36,10 +37,20 @@ class Step(NamedTuple):
     implicit: bool
 
 
-def contacts(model: Model, at: Pose, world: Bodies, kept: Kept) -> Contacts:
-    """Sweep the kept bodies."""
+def contacts(
+    model: Model,
+    at: Pose,
+    world: Bodies,
+    kept: Kept,
+    grip: Array | None,
+    ahead: Array | float = 0.0,
+    pressed: Array | None = None,
+) -> Contacts:
+    """Sweep the kept bodies. `grip` are the state's deflections; sticking friction is that of `ahead` seconds later, by the
+    normal forces `pressed` if given."""
+    held = stick.of_pairs(model, grip, kept, ahead, pressed)
     return Contacts(
-        sheets=sheet_contacts(model, at, world, kept) if model.has_bodies else None,
+        sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
         rollers=roller_contacts(model, world) if model.pairs else None,
     )
 
@@ -50,7 +61,7 @@ def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System
         at = pose(model, state)
         world = bodies(model, state, state.time, state.time + step.h if step.implicit else state.time)
     with jax.named_scope("contact"):
-        touching = contacts(model, at, world, kept)
+        touching = contacts(model, at, world, kept, state.grip, step.h if step.implicit else 0.0)
     with jax.named_scope("forces"):
         terms = [inertia(model), weight(model), joints(model, state, step), tension(state, step)]
         terms += [pushes(model, at), walls(model, state, step)]
@@ -196,7 +207,7 @@ class Felt(NamedTuple):
 
 
 def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
-    """Implicit parts of contacts: (h^2 K + h C), h mu F phi/v_t, F - h K v_n, -mu F phi."""
+    """Implicit parts of contacts: (h^2 K + h C), h times the secant of friction, F - h K v_n, and minus friction."""
     touch, h = pairs.touch, step.h
     if not step.implicit:
         zero = jnp.zeros_like(touch.force)
@@ -292,7 +303,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     ]  # what a travel couples to the bar: x, y, turning
     pairwise += [-asp * ny, asp * nx, asp * rt]  # and a spin
     pairwise += [an * gn + at * gt, asp * gs, at * gs, e.f_n * gn + e.f_t * gt, e.f_t * gs]
-    felt_by = by_roller(kept, jnp.stack(pairwise))
+    felt_by = by_circle(kept, jnp.stack(pairwise), rollers.n)
     columns = jnp.concatenate([felt_by[:3, move], felt_by[3:6, free]], axis=1).swapaxes(0, 1)
     along, turning, cross, push, twist = jnp.sum(felt_by[6:], axis=2)
     matrix = jnp.diag(jnp.concatenate([along[move], turning[free]]))

@@ -60,7 +60,7 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Slip (mm/s) that the regularised law needs to carry the mean square friction at the mean normal force.
 
     Slip below it is a trait of the law, not of the machine: v = vs phi^-1(load / (mu N)), with the load cut at 95 % of the
-    limit, beyond which sliding is real. Needs observe=("nips",).
+    limit, beyond which sliding is real. 0 where friction sticks: nothing creeps there. Needs observe=("nips",).
     """
     nips = _seen(trajectory, "nips", "creep_floor")
     scene = normalise(scene)
@@ -69,6 +69,9 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     for name in trajectory.rollers:
         roller, stats = scene.rollers[name], nips[name]
         contact = scene.contacts[roller.contact]
+        if contact.friction_law == "stick":
+            floors[name] = jnp.zeros_like(stats.force_mean)
+            continue
         limit = roller.friction * factor * stats.force_mean
         used = jnp.clip(stats.friction_rms / jnp.where(limit > 0, limit, 1.0), 0.0, SATURATED)
         inverse = jnp.arctanh(used) if contact.friction_law == "tanh" else used / jnp.sqrt(1.0 - used**2)
@@ -162,7 +165,8 @@ def energy(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
 
 def energy_balance(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Where the work of the drives went, N mm: change of stored energy, each loss, and what the step itself lost
-    (`numerical`: an implicit step damps; it shrinks with dt). Needs observe=("energy",)."""
+    (`numerical`: an implicit step damps; it shrinks with dt). What friction that sticks holds for a while (below
+    mu F stick_displacement per contact) counts as lost in friction, and as won back. Needs observe=("energy",)."""
     work = dict(_seen(trajectory, "energy", "energy_balance"))
     total = energy(scene, trajectory)["total"]
     stored = total[-1] - total[0]

@@ -269,6 +269,15 @@ class Model:
     pairs: tuple[tuple[int, int], ...] = word(default=(), doc="roller pairs that may meet", type=tuple)
     n_circle_guides: int = word(default=0, doc="circle guides among the circles", type=int)
     circle_names: tuple[str, ...] = word(default=(), doc="part behind each circle", type=tuple)
+    sticks: tuple[bool, bool] = word(
+        default=(False, False), doc="whether any circle, and any line or arc, has friction that sticks", type=tuple
+    )
+
+    @property
+    def grips(self) -> tuple[int, int]:
+        """Tangential deflections that a state holds: one per circle and sheet, and one per feature on lines and arcs."""
+        circles = len(self.circle_names) * len(self.layout.names)
+        return circles * self.sticks[0], self.layout.tail.shape[0] * self.sticks[1]
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -321,6 +330,7 @@ def build(scene: Scene) -> Model:
         pairs=pairs,
         n_circle_guides=len(circle_guides),
         circle_names=tuple(name for name, _ in circle_owners),
+        sticks=(_sticks(scene, circle_owners), _sticks(scene, lines + arcs)),
     )
 
 
@@ -516,13 +526,22 @@ def _surface(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
 
 
 def _pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tuple[int, int], ...]) -> Surface:
-    """Two rollers use the smaller of their frictions and the contact set of the first movable one."""
+    """Two rollers use the smaller of their frictions and the contact set of the first movable one.
+
+    They never stick: each turns freely or drives the other, and what they carry tangentially is a bearing's drag.
+    """
     friction = jnp.minimum(*(_stack([rollers[p[k]][1].friction for p in pairs]) for k in (0, 1)))
     names = tuple(f"{rollers[i][0]}+{rollers[j][0]}" for i, j in pairs)
-    return _surface_of(scene, [rollers[i][1].contact for i, _ in pairs], friction, names)
+    return _surface_of(scene, [rollers[i][1].contact for i, _ in pairs], friction, names, can_stick=False)
 
 
-def _surface_of(scene: Scene, sets: list[str], friction: Array, names: tuple[str, ...]) -> Surface:
+def _sticks(scene: Scene, parts: list[tuple[str, Any]]) -> bool:
+    return any(scene.contacts[p.contact].friction_law == "stick" for _, p in parts)
+
+
+def _surface_of(
+    scene: Scene, sets: list[str], friction: Array, names: tuple[str, ...], can_stick: bool = True
+) -> Surface:
     known = sorted(scene.contacts)
     index = np.array([known.index(s) for s in sets], dtype=int)
     contacts = [scene.contacts[name] for name in known]
@@ -534,7 +553,8 @@ def _surface_of(scene: Scene, sets: list[str], friction: Array, names: tuple[str
     excess = None
     if any(c.static_ratio is not None for c in used):
         excess = per_body([0.0 if c.static_ratio is None else c.static_ratio - 1.0 for c in contacts])
-    tanh = np.array([contacts[k].friction_law == "tanh" for k in index], dtype=bool)
+    tanh, stick = (np.array([contacts[k].friction_law == law for k in index], dtype=bool) for law in ("tanh", "stick"))
+    sticks = can_stick and bool(stick.any())
     return Surface(
         friction=friction,
         stiffness=NEWTON * per_body([c.stiffness for c in contacts]),
@@ -546,6 +566,8 @@ def _surface_of(scene: Scene, sets: list[str], friction: Array, names: tuple[str
         static_excess=excess,
         transition_speed=per_body([c.transition_speed for c in contacts]),
         tanh=jnp.asarray(tanh) if tanh.any() else None,
+        stick=jnp.asarray(stick) if sticks else None,
+        stick_displacement=per_body([c.stick_displacement for c in contacts]) if sticks else None,
         names=names,
     )
 

@@ -40,7 +40,12 @@ class Motion:
 
 @record
 class Contact:
-    """A named set of contact properties: f = stiffness D^exponent + damping D^damping_exponent d', clipped at zero."""
+    """A named set of contact properties: f = stiffness D^exponent + damping D^damping_exponent d', clipped at zero.
+
+    `friction_law` "sqrt" and "tanh" regularise friction over `stick_speed`: a load below the limit makes the contact creep.
+    "stick" holds it by a tangential deflection of the size of `stick_displacement`, at rest; two rollers on each other and
+    the search for the rest state use the square-root law then.
+    """
 
     stiffness: Any = number(default=200.0, unit="N/mm^exponent", doc="normal stiffness", bound="positive")
     exponent: Any = number(default=1.0, unit="1", doc="indentation exponent", bound="positive")
@@ -62,7 +67,17 @@ class Contact:
     transition_speed: Any = number(
         default=30.0, unit="mm/s", doc="speed at which static friction has half gone", bound="positive"
     )
-    friction_law: str = word(default="sqrt", doc="regularisation of friction", choices=("sqrt", "tanh"))
+    stick_displacement: Any = number(
+        default=2.0e-3,
+        unit="mm",
+        doc="tangential deflection at which the slope of stuck friction would reach its limit (it does at 1.5 of it)",
+        bound="positive",
+    )
+    friction_law: str = word(
+        default="sqrt",
+        doc="regularisation of friction: over a speed, or over a displacement",
+        choices=("sqrt", "tanh", "stick"),
+    )
 
 
 @record

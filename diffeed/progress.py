@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed import stick
 from diffeed.candidates import Candidates, check_reach
 from diffeed.contact import Kept
 from diffeed.forces import Contacts
@@ -40,7 +41,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
     if isinstance(initial, Resume):
         return Progress(initial.state, initial.cause, initial.failed_at, initial.open, initial.next_step)
-    state, found = initial, jnp.asarray(True)
+    state, found = None if initial is None else stick.fitted(model, initial), jnp.asarray(True)
     if state is None:
         state = initial_state(model, scene)
         if scene.initial == "settled":

@@ -163,7 +163,7 @@ def look(model: Model, state: State, guides: bool = True) -> tuple[Pose, Bodies,
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
     whole = guides or model.rollers.n == 0
-    return at, world, contacts(model, at, world, keep_all(model) if whole else keep_rollers(model))
+    return at, world, contacts(model, at, world, keep_all(model) if whole else keep_rollers(model), state.grip)
 
 
 def snapshot(model: Model, state: State) -> tuple[dict[str, SheetTrack], Parts[RollerTrack], Parts[GuideTrack]]:

@@ -29,6 +29,7 @@ class State:
     travel_rate: Any  # (movable,) mm/s
     spin: Any  # (free,) rad/s
     stretch: Any  # (bars,) kg mm2/s2: geometric stiffness of last step's joint forces, per heading
+    grip: Any = None  # deflections of sticking contacts over stick_displacement (see `stick`); None: none sticks
 
 
 def initial_state(model: Model, scene: Scene) -> State:
@@ -52,7 +53,13 @@ def initial_state(model: Model, scene: Scene) -> State:
         travel_rate=jnp.zeros((model.rollers.n_movable,)),
         spin=model.rollers.spin,
         stretch=jnp.zeros((model.layout.n_bars,)),
+        grip=initial_grip(model),
     )
+
+
+def initial_grip(model: Model) -> Array | None:
+    """No deflection; None where nothing sticks."""
+    return jnp.zeros((sum(model.grips),)) if any(model.sticks) else None
 
 
 def _centre_velocity(sheet: Sheet, headings: Array, rates: Array) -> Array:

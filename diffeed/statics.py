@@ -2,7 +2,8 @@
 
 At rest a regularised friction holds nothing: the sheet creeps. `settle` takes friction as it acts over `HOLD` seconds of
 creep: the sliding speed is displacement / HOLD, so friction is a tangential spring that saturates at mu f_n. Springs,
-contact stiffness, gravity and loads are exact; dampers play no part; driven shafts stand still.
+contact stiffness, gravity and loads are exact; dampers play no part; driven shafts stand still. Where friction sticks, the
+rest state then holds what was found by its deflections.
 """
 
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed import stick
 from diffeed.bodies import bodies, interpolate
 from diffeed.contact import Kept, keep_all
 from diffeed.contact_law import Surface
@@ -32,6 +34,8 @@ from diffeed.kinematics import nodes, pose
 from diffeed.model import Drives, Hold, Model, Path, build
 from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.records import record, replace, word
+from diffeed.smooth import divide
+from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 
 HOLD = 0.02
@@ -75,12 +79,16 @@ def with_positions(model: Model, state: State, q: Array, v: Array) -> State:
     )  # fmt: skip
 
 
-def generalised_force(model: Model, state: State) -> Array:
-    """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2."""
+def generalised_force(model: Model, state: State, pressed: Array | None = None) -> Array:
+    """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2.
+
+    Friction sticks as the state's deflections say, by the normal forces `pressed` (the present ones if None); in a state
+    without deflections it is regularised.
+    """
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
     kept = keep_all(model)
-    touching = contacts(model, at, world, kept)
+    touching = contacts(model, at, world, kept, state.grip, pressed=pressed)
     plain = Step(jnp.ones(()), False)
     terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]
     terms += [pair_terms(model, touching.sheets, at, plain)] if touching.sheets is not None else []
@@ -179,8 +187,11 @@ def _settle(scene: Scene, near: State | None) -> State:
 def settle_model(model: Model, start: State, near: State | None = None) -> tuple[State, Array]:
     """Rest state of what is let go at `start`, and whether it was found. The search begins at `near`, or at `start`."""
     guess = None if near is None else lax.stop_gradient(positions(model, near))
-    rest, converged = _balance(Freed(at_rest(model), start, generalised_inertia(model, start), guess))
-    return with_positions(model, start, rest.q, jnp.zeros_like(rest.q)), converged > 0
+    start = replace(start, grip=None)
+    freed = Freed(at_rest(model), start, generalised_inertia(model, start), guess)
+    rest, converged = _balance(freed)
+    found = with_positions(model, start, rest.q, jnp.zeros_like(rest.q))
+    return replace(found, grip=_grip_at_rest(freed, rest)), converged > 0
 
 
 class Freed(NamedTuple):
@@ -190,6 +201,17 @@ class Freed(NamedTuple):
     start: State
     inertia: Array
     guess: Array | None
+
+
+def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
+    """The deflections that hold what friction holds at a rest state, so that nothing jumps when it is let go."""
+    still, start = freed.model, freed.start
+    if not any(still.sticks):
+        return None
+    creeping = with_positions(still, start, rest.q, (rest.q - positions(still, start)) / HOLD)
+    at, _, touching = look(still, creeping)
+    assert touching.sheets is not None
+    return stick.at_friction(still, at, touching.sheets, keep_all(still))
 
 
 def _imbalance(freed: Freed, rest: Rest) -> Rest:
@@ -365,7 +387,8 @@ def linearise(scene: Scene, state: State) -> Linearisation:
     """Mass, damping and stiffness at a state, inside a trace too: frequencies have derivatives.
 
     Stiffness and damping come from the exact derivative of the forces, geometric stiffness of joint, clamp and contact
-    forces included, made symmetric: `modes` and `buckling_factors` are those of the conservative part.
+    forces included, made symmetric: `modes` and `buckling_factors` are those of the conservative part. Friction counts as
+    it acts there: regularised, as a damper; sticking, as a tangential spring under the normal force of that state.
     """
     return _linearise(normalise(scene), state)
 
@@ -373,10 +396,13 @@ def linearise(scene: Scene, state: State) -> Linearisation:
 @jax.jit
 def _linearise(scene: Scene, state: State) -> Linearisation:
     model = build(scene)
+    state = stick.fitted(model, state)
     q, v = positions(model, state), velocities(state)
+    pressed = None if state.grip is None else _pressed(model, state)
 
     def force(q: Array, v: Array) -> Array:
-        return generalised_force(model, with_positions(model, state, q, v))
+        moved = with_positions(model, state, q, v)
+        return generalised_force(model, replace(moved, grip=_dragged_grip(model, state, q)), pressed)
 
     rows = jax.jacfwd(lambda q: held_places(model, with_positions(model, state, q, v))[0])(q)
     load = force(q, v)
@@ -401,6 +427,25 @@ def _linearise(scene: Scene, state: State) -> Linearisation:
         basis=basis,
         sheets=model.layout.names,
     )
+
+
+def _dragged_grip(model: Model, state: State, q: Array) -> Array | None:
+    """The deflections after a small displacement from a state to q: as after one second at the speed that takes it there."""
+    if state.grip is None:
+        return None
+    start = positions(model, state)
+    still = at_rest(model)
+    pairs = look(still, with_positions(still, state, start, q - start))[2].sheets
+    assert pairs is not None
+    return stick.moved(state.grip, *stick.pull(still, pairs, pairs.v_t, keep_all(still)), 1.0)
+
+
+def _pressed(model: Model, state: State) -> Array:
+    """Normal forces of whole contacts at a state. That friction grows with them is no part of a potential: made symmetric,
+    it would soften what it does not soften."""
+    pairs = look(model, state)[2].sheets
+    assert pairs is not None
+    return divide(pairs.touch.force, pairs.weight)
 
 
 def mass_matrix(model: Model, state: State) -> Array:

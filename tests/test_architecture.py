@@ -23,6 +23,7 @@ RANKS = """
     state system sums
     kinematics bodies
     contact
+    stick
     candidates forces
     chain_dense chain_elimination
     chain_solve

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 from jax import Array
 
+from diffeed import stick
 from diffeed.contact import Kept
 from diffeed.forces import Contacts
 from diffeed.model import Model
@@ -30,7 +31,7 @@ class Ways(NamedTuple):
     def best(self) -> State:
         """The order-two combination."""
         found = jax.tree.map(lambda two, one: 2.0 * two - one, self.halves, self.whole)
-        return replace(found, time=self.halves.time)
+        return replace(found, time=self.halves.time, grip=stick.bounded(found.grip))
 
 
 def both_ways(model: Model, state: State, h: Array, kept: Kept) -> Ways:

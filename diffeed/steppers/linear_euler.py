@@ -2,7 +2,7 @@
 
 from jax import Array
 
-from diffeed import chain_solve
+from diffeed import chain_solve, stick
 from diffeed.contact import Kept
 from diffeed.forces import Contacts, Step, assemble, joint_stretch
 from diffeed.model import Model
@@ -24,5 +24,6 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
         travel_rate=state.travel_rate + h * a.border[:m],
         spin=state.spin + h * a.border[m : m + f],
         stretch=joint_stretch(model, at, *chain_solve.net_joint_force(system, a)),
+        grip=stick.advance(model, state.grip, touching.sheets, a, h, kept),
     )
     return advance_positions(model, moving, h), touching

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed import chain_solve
+from diffeed import chain_solve, stick
 from diffeed.contact import Kept
 from diffeed.forces import Contacts, Step, assemble
 from diffeed.kinematics import Pose
@@ -37,7 +37,8 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
 
     middle, _ = jax.lax.scan(improve, guess, None, length=PASSES)
     after = jax.tree.map(lambda m, s: 2.0 * m - s, middle, state)
-    return replace(after, time=state.time + h, stretch=middle.stretch), touching
+    after = replace(after, time=state.time + h, stretch=middle.stretch, grip=stick.bounded(after.grip))
+    return after, touching
 
 
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
@@ -58,6 +59,7 @@ def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept
         travel_rate=guess.travel_rate + half * change.border[:m],
         spin=guess.spin + half * change.border[m : m + f],
         stretch=guess.stretch,
+        grip=None if start.grip is None else start.grip + half * slope.grip,
     )
     return advance_positions(model, moving, half)
 

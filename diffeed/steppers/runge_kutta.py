@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed import chain_solve
+from diffeed import chain_solve, stick
 from diffeed.bodies import spins
 from diffeed.contact import Kept
 from diffeed.forces import Contacts, Step, assemble
@@ -39,6 +39,7 @@ def derivative(model: Model, state: State, h: Array, kept: Kept) -> tuple[State,
         travel_rate=a.border[:m],
         spin=a.border[m : m + f],
         stretch=jnp.zeros_like(state.stretch),
+        grip=stick.slope(model, state.grip, touching.sheets, h, kept),
     )
     return slope, touching
 
@@ -61,4 +62,4 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
     rest = jnp.array([NODES[1:], WEIGHTS[1:]]).T
     (_, total), _ = jax.lax.scan(stage, (first, total), rest)
     after = _along(state, total, h)
-    return replace(after, time=state.time + h), touching
+    return replace(after, time=state.time + h, grip=stick.bounded(after.grip)), touching
