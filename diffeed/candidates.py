@@ -68,19 +68,15 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     if not model.has_bodies or not size.any:
         always = jnp.ones((), bool)
         return Candidates(keep_all(model), jnp.full((), jnp.inf), x, y, state.travel, always)
-    world, row, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
+    world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
     reach = REACH + MARGIN * span * _fastest(model, state)
     found, complete = [], []
-    families = [
-        (circles_near, (model, row, world, whole)),
-        (lines_near, (row, world, whole)),
-        (arcs_near, (row, world, whole)),
-    ]
+    families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
-    for (near, given), depth, count in zip(families, depths, size, strict=True):
-        index, fits = (
-            (None, jnp.ones((), bool)) if count is None else _nearest(near(*given), depth, count, reach, model)
-        )
+    for near, depth, count in zip(families, depths, size, strict=True):
+        index, fits = None, jnp.ones((), bool)
+        if count is not None:
+            index, fits = _nearest(near(model, rows, world, whole), depth, count, reach, model)
         found.append(index)
         complete.append(fits)
     return Candidates(keep(model, *found), reach, x, y, state.travel, complete[0] & complete[1] & complete[2])
