@@ -248,11 +248,12 @@ def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: 
     if len(rows) == 1:
         (row,) = rows
         near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
-        places, rolls = (Place(None, near.arm * row.c, near.arm * row.s),), near.on_face
+        places, run = (Place(None, near.arm * row.c, near.arm * row.s),), near.on_face
     else:
         near = piece_circle(_pieces(model, *rows), rigid.x, rigid.y, kept.radius)
-        places, rolls = _places(model, rows, near.u), near.rolls
+        places, run = _places(model, rows, near.u), near.run
     half_thickness = rows[-1].half_thickness
+    radius = kept.radius + half_thickness
     return Closest(
         gap=near.gap - half_thickness,
         nx=near.nx,
@@ -261,7 +262,7 @@ def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: 
         places=places,
         u_n=near.nx * rigid.vx + near.ny * rigid.vy,
         u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
-        lever=jnp.where(rolls, kept.radius + half_thickness, 0.0),
+        lever=jnp.where(run, radius, 0.0) if len(rows) == 1 else run * radius,
     )
 
 

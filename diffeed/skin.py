@@ -14,13 +14,19 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
-from diffeed.smooth import cubic_root, polar
+from diffeed.smooth import polar, step_down
 
-HAND_OVER = 1e-6
-"""mm: half-width over which two pieces hand a contact over at a bar's middle. Wider than round-off, which could otherwise
-count a contact twice or not at all; the curve is the same on both sides."""
+HAND_OVER = 0.1
+"""Half-width, in bar lengths, over which two pieces hand a contact over to each other at a bar's middle."""
+BEYOND = 0.25
+"""How far past its ends, in bar lengths, a piece is followed for that."""
+CONFORMING = 0.5
+"""Least rate, as a share of a straight bar's, at which the foot of a circle's centre is taken to settle along the curve. Where a
+sheet is wrapped around a roller every point is about equally near and the foot undetermined."""
+STEPS = 3
+"""Steps of Newton's method for the foot, from the middle of a piece: exact on a straight one after the first."""
 
 
 class Pieces(NamedTuple):
@@ -49,38 +55,40 @@ class PieceNear(NamedTuple):
     gap: Array
     nx: Array
     ny: Array
-    weight: Array  # 1 where the closest point lies on the piece itself
+    weight: Array  # 0..1: share of the contact that this piece carries
     u: Array
-    rolls: Array  # bool: the curve lies on the circle, not its rounded end
+    run: Array  # mm that the foot runs per radian of turning, over the distance to the centre; 0 at a round end
 
 
 def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNear:
     """Circles, (circles, 1) or (slots, features), against pieces.
 
-    The closest point is where (c(u) - C).c'(u), a cubic in u, goes from negative to positive. A pair counts only where it does so
-    on the piece: seen from the bars' middles, where the signs of two pieces are one, so that a chain hands a contact on
-    without a gap and counts it once.
+    The foot of the centre C is where (c(u) - C).c'(u), a cubic in u, goes from negative to positive. A piece carries a contact
+    where the foot lies behind the middle of its first bar and before that of its second, counted on these bars, each from 0 to
+    1 over the hand-over: so along a chain the weights add up to one. Where a sheet lies around a roller many pieces
+    carry a part each.
     """
     rx, ry = piece.x - cx, piece.y - cy
     ax, ay, bx, by = piece.first_x, piece.first_y, piece.second_x, piece.second_y
     kx, ky = bx - ax, by - ay
+    size = ax * ax + ay * ay
     at_start = rx * ax + ry * ay
     at_end = (rx + ax + bx) * bx + (ry + ay + by) * by
-    linear, square, cube = 2.0 * (ax * ax + ay * ay) + rx * kx + ry * ky, 3.0 * (ax * kx + ay * ky), kx * kx + ky * ky
-    u = cubic_root(at_start, linear, square, cube)
+    linear, square, cube = 2.0 * size + rx * kx + ry * ky, 3.0 * (ax * kx + ay * ky), kx * kx + ky * ky
+    first, last = np.where(piece.lead, 0.0, -BEYOND), np.where(piece.tail, 1.0, 1.0 + BEYOND)
+    u, slope = 0.5, size
+    for _ in range(STEPS):
+        value = at_start + u * (linear + u * (square + u * cube))
+        slope = jnp.maximum(linear + u * (2.0 * square + u * 3.0 * cube), 2.0 * CONFORMING * size)
+        u = jnp.clip(u - value / slope, first, last)
     distance, nx, ny = polar(rx + u * (2.0 * ax + u * kx), ry + u * (2.0 * ay + u * ky))
     # The ends of a sheet are round: whatever lies beyond them is theirs.
-    begun = jnp.where(piece.lead, 1.0, _passed(at_start, ax, ay))
-    ended = jnp.where(piece.tail, 0.0, _passed(at_end, bx, by))
+    bar = np.where(piece.lead | piece.tail, 4.0, 2.0) * HAND_OVER * size
+    begun = jnp.where(piece.lead, 1.0, step_down(at_start / bar, 1.0))
+    ended = jnp.where(piece.tail, 0.0, step_down(at_end / bar, 1.0))
     round_end = (piece.lead & (at_start > 0)) | (piece.tail & (at_end < 0))
-    weight = lax.stop_gradient(begun * (1.0 - ended))
-    return PieceNear(distance - radius, nx, ny, weight, u, jnp.logical_not(round_end))
-
-
-def _passed(product: Array, x: Array, y: Array) -> Array:
-    """0..1: whether the foot of a circle's centre lies behind a bar's middle; (x, y) points backwards along the bar."""
-    behind = -product / jnp.sqrt(x * x + y * y)
-    return jnp.clip(0.5 + behind * (0.5 / HAND_OVER), 0.0, 1.0)
+    run = jnp.where(round_end, 0.0, 2.0 * size / slope)
+    return PieceNear(distance - radius, nx, ny, begun * (1.0 - ended), u, run)
 
 
 def touched(

@@ -7,9 +7,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-ROOT_STEPS = 3
-"""Steps of Newton's method for a root of a cubic: from the chord, round-off on pieces that bend by up to half a radian."""
-
 
 def ramp(x: Array, width: Array) -> tuple[Array, Array]:
     """The ramp D(x) and its slope: 0 for x <= 0, x^2/(2 width) up to width, then x - width/2. Shapes of x.
@@ -69,40 +66,6 @@ def _polar_jvp(
     along = jnp.where(zero, 0.0, ux * dx + uy * dy)
     turn = jnp.where(zero, 0.0, ux * dy - uy * dx) / jnp.where(zero, 1.0, length)
     return (length, ux, uy), (along, -uy * turn, ux * turn)
-
-
-@jax.custom_jvp
-def cubic_root(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Where a + b u + c u^2 + d u^3 goes from negative to positive within [0, 1]; 0 where it is positive at both ends, 1
-    where negative at both.
-
-    Newton's method from the chord between the ends, kept in the bracket by bisection. The derivative is
-    that of the root by the implicit-function theorem, and 0 at the ends: the iterations never see a tangent.
-    """
-    end = a + b + c + d
-    low, high = jnp.minimum(a, 0.0), jnp.maximum(end, 0.0)
-    u = divide(-low, high - low)
-    left, right = jnp.zeros_like(u), jnp.ones_like(u)
-    for _ in range(ROOT_STEPS):
-        value, slope = _cubic(a, b, c, d, u)
-        left, right = jnp.where(value < 0, u, left), jnp.where(value < 0, right, u)
-        step = u - divide(value, slope)
-        u = jnp.where((slope > 0) & (step >= left) & (step <= right), step, 0.5 * (left + right))
-    return jnp.where(end <= 0, 1.0, jnp.where(a >= 0, 0.0, u))
-
-
-def _cubic(a: Array, b: Array, c: Array, d: Array, u: Array) -> tuple[Array, Array]:
-    return a + u * (b + u * (c + u * d)), b + u * (2.0 * c + u * 3.0 * d)
-
-
-@cubic_root.defjvp
-def _cubic_root_jvp(given: tuple[Array, ...], moved: tuple[Array, ...]) -> tuple[Array, Array]:
-    a, b, c, d = given
-    u = cubic_root(a, b, c, d)
-    slope = _cubic(a, b, c, d, u)[1]
-    free = (u > 0) & (u < 1) & (slope > 0)
-    da, db, dc, dd = moved
-    return u, -jnp.where(free, da + u * (db + u * (dc + u * dd)), 0.0) / jnp.where(free, slope, 1.0)
 
 
 def solve_positive(matrix: Array, sides: Array) -> Array:
