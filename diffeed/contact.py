@@ -71,7 +71,7 @@ class Closest(NamedTuple):
     places: tuple[Place, ...]  # on each bar that the pair pushes
     u_n: Array  # mm/s, speed of the body's surface along the normal and the tangent
     u_t: Array
-    lever: Array  # mm: R + t/2 where a face or the smooth skin lies on a circle, else 0
+    lever: Array  # mm that the foot runs per radian: R + t/2 where a face lies on a circle, 0 at a round end
 
 
 class Lever(NamedTuple):
@@ -245,15 +245,15 @@ def _near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -
 def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """The skin against rollers, circle guides and tips."""
     rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
+    half_thickness = rows[-1].half_thickness
+    reach = kept.radius + half_thickness
     if len(rows) == 1:
         (row,) = rows
         near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
-        places, run = (Place(None, near.arm * row.c, near.arm * row.s),), near.on_face
+        places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
     else:
         near = piece_circle(_pieces(model, *rows), rigid.x, rigid.y, kept.radius)
-        places, run = _places(model, rows, near.u), near.run
-    half_thickness = rows[-1].half_thickness
-    radius = kept.radius + half_thickness
+        places, lever = _places(model, rows, near.u), near.run * reach
     return Closest(
         gap=near.gap - half_thickness,
         nx=near.nx,
@@ -262,7 +262,7 @@ def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: 
         places=places,
         u_n=near.nx * rigid.vx + near.ny * rigid.vy,
         u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
-        lever=jnp.where(run, radius, 0.0) if len(rows) == 1 else run * radius,
+        lever=lever,
     )
 
 
@@ -298,7 +298,7 @@ def _places(model: Model, rows: tuple[Features, ...], u: Array) -> tuple[Place, 
 
 
 def lines_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
-    """End circles against line guides."""
+    """End circles, or points of the smooth skin, against line guides."""
     lines = kept.lines
     assert lines is not None
     if world.line_motion is not None:
@@ -310,7 +310,7 @@ def lines_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Ke
 
 
 def arcs_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
-    """End circles against arc guides."""
+    """End circles, or points of the smooth skin, against arc guides."""
     arcs = kept.arcs
     assert arcs is not None
     if world.arc_motion is not None:
@@ -342,7 +342,7 @@ def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Arra
 def _end_circles(
     rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None, index: Array | None
 ) -> Closest:
-    """End circles against a guide's face; a moving guide lends its surface speed at the touched point."""
+    """Circles around points of the sheets against a guide's face; a moving guide lends its surface speed at the touched point."""
     u_n = u_t = zero = jnp.zeros_like(near.gap)
     half_thickness = rows[-1].half_thickness
     if motion is not None:

@@ -59,7 +59,7 @@ def pieces_to_bars(layout: Layout, in_front: Array, behind: Array) -> Array:
 
 
 def to_nodes_behind(layout: Layout, values: Array) -> Array:
-    """(..., bars) -> (..., nodes): to each node the value of the bar in front of it, to the lead its own bar's."""
+    """(..., bars) -> (..., nodes): each bar's value to the node behind it, the first bar's to the lead as well."""
     pieces = []
     for s in layout.slices():
         pieces += [values[..., s.start : s.start + 1], values[..., s]]

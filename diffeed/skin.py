@@ -20,7 +20,7 @@ from diffeed.smooth import polar, step_down
 
 HAND_OVER = 0.1
 """Half-width, in bar lengths, over which two pieces hand a contact over to each other at a bar's middle."""
-BEYOND = 0.25
+BEYOND = 0.1
 """How far past its ends, in bar lengths, a piece is followed for that."""
 CONFORMING = 0.5
 """Least rate, as a share of a straight bar's, at which the foot of a circle's centre is taken to settle along the curve. Where a
@@ -52,7 +52,7 @@ class Touched(NamedTuple):
 class PieceNear(NamedTuple):
     """Closest approach of circles to pieces, (circles, features)."""
 
-    gap: Array
+    gap: Array  # mm, to the curve
     nx: Array
     ny: Array
     weight: Array  # 0..1: share of the contact that this piece carries
@@ -75,20 +75,22 @@ def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNea
     at_start = rx * ax + ry * ay
     at_end = (rx + ax + bx) * bx + (ry + ay + by) * by
     linear, square, cube = 2.0 * size + rx * kx + ry * ky, 3.0 * (ax * kx + ay * ky), kx * kx + ky * ky
-    first, last = np.where(piece.lead, 0.0, -BEYOND), np.where(piece.tail, 1.0, 1.0 + BEYOND)
-    u, slope = 0.5, size
+    # The ends of a sheet are round: whatever lies beyond them is theirs.
+    bar = np.where(piece.lead | piece.tail, 4.0, 2.0) * HAND_OVER * size
+    begun = jnp.where(piece.lead, 1.0, step_down(at_start / bar, 1.0))
+    ended = jnp.where(piece.tail, 0.0, step_down(at_end / bar, 1.0))
+    weight = begun * (1.0 - ended)
+    beyond = jnp.where(weight > 0, BEYOND, 0.0)
+    first, last = jnp.where(piece.lead, 0.0, -beyond), jnp.where(piece.tail, 1.0, 1.0 + beyond)
+    u, slope = jnp.full_like(size, 0.5), size
     for _ in range(STEPS):
         value = at_start + u * (linear + u * (square + u * cube))
         slope = jnp.maximum(linear + u * (2.0 * square + u * 3.0 * cube), 2.0 * CONFORMING * size)
         u = jnp.clip(u - value / slope, first, last)
     distance, nx, ny = polar(rx + u * (2.0 * ax + u * kx), ry + u * (2.0 * ay + u * ky))
-    # The ends of a sheet are round: whatever lies beyond them is theirs.
-    bar = np.where(piece.lead | piece.tail, 4.0, 2.0) * HAND_OVER * size
-    begun = jnp.where(piece.lead, 1.0, step_down(at_start / bar, 1.0))
-    ended = jnp.where(piece.tail, 0.0, step_down(at_end / bar, 1.0))
     round_end = (piece.lead & (at_start > 0)) | (piece.tail & (at_end < 0))
     run = jnp.where(round_end, 0.0, 2.0 * size / slope)
-    return PieceNear(distance - radius, nx, ny, begun * (1.0 - ended), u, run)
+    return PieceNear(distance - radius, nx, ny, weight, u, run)
 
 
 def touched(
