@@ -241,7 +241,7 @@ def test_sheet_and_roller_that_move_together_feel_nothing():
     scene = normalise(replace(feeder(7), gravity=(0.0, 0.0)))
     model = build(scene)
     state = initial_state(model, scene)
-    at, world, touching = look(model, state)
+    touching = look(model, state)[2]
     step, kept = Step(jnp.asarray(1e-4), True), keep_all(model)
     pressed = border(model, state, touching, step, kept)
     free = border(model, state, Contacts(None, None), step, kept)
