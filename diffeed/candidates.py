@@ -74,17 +74,15 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     if not model.has_bodies or not size.any:
         always = jnp.full((), jnp.inf)
         return Candidates(keep_all(model), always, always, x, y, state.travel)
-    world, row, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
+    world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
     reach = REACH + MARGIN * span * _fastest(model, state)
     found, free = [], []
-    families = [
-        (circles_near, (model, row, world, whole)),
-        (lines_near, (row, world, whole)),
-        (arcs_near, (row, world, whole)),
-    ]
+    families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
-    for (near, given), depth, count in zip(families, depths, size, strict=True):
-        index, next_gap = (None, jnp.inf) if count is None else _nearest(near(*given), depth, count, model)
+    for near, depth, count in zip(families, depths, size, strict=True):
+        index, next_gap = None, jnp.inf
+        if count is not None:
+            index, next_gap = _nearest(near(model, rows, world, whole), depth, count, model)
         found.append(index)
         free.append(next_gap)
     limit = jnp.minimum(jnp.minimum(free[0], free[1]), free[2])

@@ -1,11 +1,15 @@
 """Contact sweep: which pairs are near, what the law says of them. Geometry from `shapes`, forces from `contact_law`.
 
 Bodies stand along one axis (rollers, circle guides, tips, then line guides, then arc guides), features of the sheets
-along the next. A bar and its front end circle are one feature, the tail's end circle is another: (bodies, features).
+along the next: (bodies, features). What touches is the scene's `skin`. "bars": a bar and its front end circle are one
+feature, the tail's end circle is another. "smooth": the piece of curve at each node is a feature, and hangs on two bars. A
+sheet has one more feature than bars in either case.
 To add a guide shape: give it a point-to-shape function in `shapes`, posed arrays in `model` and `bodies`, and one more
 entry in `_near` and `keep`; law, sums and solver do not change.
 """
 
+import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,13 +19,15 @@ from jax import Array
 
 from diffeed.bodies import Bodies, Rigid
 from diffeed.contact_law import Grip, Surface, Touch, contact_law
-from diffeed.kinematics import Pose, to_nodes
+from diffeed.kinematics import Pose, from_nodes, pieces_to_bars, to_nodes, to_nodes_behind
 from diffeed.model import Arcs, Lines, Model
 from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, point_line
+from diffeed.skin import Pieces, piece_circle, touched
+from diffeed.smooth import polar
 
 
 class Features(NamedTuple):
-    """Features of the sheets, (1, features): for each bar the bar, then the tail; all values are the bar's."""
+    """A bar for each feature of the sheets, (1, features): its own, or one of the two that it hangs on."""
 
     x: Array
     y: Array
@@ -36,16 +42,28 @@ class Features(NamedTuple):
     end: Array  # +1: its point is the bar's front node; -1: the rear node (tails)
 
 
-def features(model: Model, at: Pose) -> Features:
-    """Lay bars out as features, sheet after sheet."""
-
-    def lay(values: Array) -> Array:
-        return to_nodes(model.layout, values, values)[None, :]
-
+def features(model: Model, at: Pose) -> tuple[Features, ...]:
+    """Bars laid out as features, sheet after sheet: each feature's own, or the one in front of it and the one behind it."""
     bars = model.bars
-    own = (bars.half_length, bars.half_thickness, bars.friction_factor)
     end = jnp.asarray(1.0 - 2.0 * model.layout.tail, at.x.dtype)[None, :]
-    return Features._make([*(lay(v) for v in (*at, *own)), end])
+    rows = laid_out(model, (*at, bars.half_length, bars.half_thickness, bars.friction_factor))
+    return tuple(Features._make([*row, end]) for row in rows)
+
+
+def laid_out(model: Model, values: Sequence[Array]) -> list[list[Array]]:
+    """Values of bars, (bars,) each -> (1, features) each: for every bar that a feature hangs on."""
+    rows = [[to_nodes(model.layout, v, v)[None, :] for v in values]]
+    if model.skin == "smooth":
+        rows.insert(0, [to_nodes_behind(model.layout, v)[None, :] for v in values])
+    return rows
+
+
+class Place(NamedTuple):
+    """The touched point as seen from one bar, (bodies, features)."""
+
+    share: Array | None  # 0..1 of the force that this bar takes; None: all of it
+    arm_x: Array  # mm, from the bar's centre to the point of its axis
+    arm_y: Array
 
 
 class Closest(NamedTuple):
@@ -55,29 +73,40 @@ class Closest(NamedTuple):
     nx: Array  # normal into the sheet; the tangent is (-ny, nx)
     ny: Array
     weight: Array  # 0..1: share of the contact that this pair carries
-    arm_x: Array  # mm, from the bar's centre to the touched point of its axis
-    arm_y: Array
+    places: tuple[Place, ...]  # on each bar that the pair pushes
     u_n: Array  # mm/s, speed of the body's surface along the normal and the tangent
     u_t: Array
-    lever: Array  # mm: R + t/2 where a bar's face lies on a circle, else 0
+    lever: Array  # mm that the foot runs per radian: R + t/2 where a face lies on a circle, 0 at a round end
+
+
+class Lever(NamedTuple):
+    """How a pair pushes one bar, (bodies, features): g_n = (n, r x n) and g_t = (t, r x t) of that bar."""
+
+    share: Array | None  # 0..1 of the pair's force; None: all of it
+    rn: Array  # r x n, mm
+    rt: Array  # r x t, mm
+
+
+def shared(bar: Place | Lever, value: Array) -> Array:
+    """The bar's part of something of the pair."""
+    return value if bar.share is None else bar.share * value
 
 
 class Pairs(NamedTuple):
     """Evaluated pairs, (bodies, features). Forces carry the pair's weight already.
 
-    With g_n = (n, r x n) and g_t = (t, r x t) of the bar, v_n = g_n.v - u_n is the speed with which the bar leaves.
+    v_n = g_n.v - u_n is the speed with which the touched point leaves, summed over its bars by their shares; v_t likewise.
     """
 
     touch: Touch
     gap: Array
     nx: Array
     ny: Array
-    rn: Array  # r x n, mm
-    rt: Array  # r x t, mm
+    levers: tuple[Lever, ...]  # its own bar; on the smooth skin the bar in front and the bar behind
     v_n: Array
     v_t: Array
     weight: Array
-    turning: Array  # geometric stiffness of the bar's rotation, kg mm2/s2
+    turning: Array  # geometric stiffness of the skin's rotation, kg mm2/s2
 
 
 class Kept(NamedTuple):
@@ -168,45 +197,78 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
 
 def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip | None = None) -> Pairs:
     """The kept bodies against every feature of every sheet. Without a `grip`, friction is regularised everywhere."""
-    row = features(model, at)
-    near = _near(model, row, world, kept)
-    rn = near.arm_x * near.ny - near.arm_y * near.nx
-    rt = near.arm_x * near.nx + near.arm_y * near.ny - row.half_thickness
-    v_n = near.nx * row.vx + near.ny * row.vy + row.w * rn - near.u_n
-    v_t = near.nx * row.vy - near.ny * row.vx + row.w * rt - near.u_t
-    raw = contact_law(kept.surface, -near.gap, v_n, v_t, row.friction_factor, grip)
+    rows = features(model, at)
+    near, half_thickness = _near(model, rows, world, kept), rows[-1].half_thickness
+    levers, away, along = [], [], []
+    for row, place in zip(rows, near.places, strict=True):
+        rn = place.arm_x * near.ny - place.arm_y * near.nx
+        rt = place.arm_x * near.nx + place.arm_y * near.ny - half_thickness
+        levers.append(Lever(place.share, rn, rt))
+        away.append(near.nx * row.vx + near.ny * row.vy + row.w * rn)
+        along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
+    v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
+    raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].friction_factor, grip)
     touch = Touch(*(near.weight * v for v in raw))
-    # A face that turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is.
-    return Pairs(touch, near.gap, near.nx, near.ny, rn, rt, v_n, v_t, near.weight, touch.force * near.lever)
+    # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
+    # with the headings of its two bars by their shares.
+    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), v_n, v_t, near.weight, touch.force * near.lever)
 
 
-def _near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
+def to_bars(model: Model, parts: Sequence[Array]) -> Array:
+    """(..., features) for each lever of the pairs -> (..., bars)."""
+    if model.skin == "smooth":
+        return pieces_to_bars(model.layout, *parts)
+    return from_nodes(model.layout, *parts)
+
+
+def blend(bars: Sequence[Place | Lever], values: Sequence[Array]) -> Array:
+    """Values of the bars summed by their shares."""
+    return functools.reduce(jnp.add, [shared(bar, value) for bar, value in zip(bars, values, strict=True)])
+
+
+def heading(model: Model, at: Pose, pairs: Pairs) -> tuple[Array, Array]:
+    """Cosine and sine of the direction of travel where pairs touch: the bar's, or the smooth skin's tangent."""
+    rows = features(model, at)
+    if len(rows) == 1:
+        return rows[0].c, rows[0].s
+    c, s = (blend(pairs.levers, values) for values in ([r.c for r in rows], [r.s for r in rows]))
+    return polar(c, s)[1:]
+
+
+def _near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     families = []
     if kept.n_circles:
-        families.append(circles_near(model, row, world, kept))
+        families.append(circles_near(model, rows, world, kept))
     if model.lines.names and kept.lines is not None:
-        families.append(lines_near(row, world, kept))
+        families.append(lines_near(model, rows, world, kept))
     if model.arcs.names and kept.arcs is not None:
-        families.append(arcs_near(row, world, kept))
+        families.append(arcs_near(model, rows, world, kept))
     if len(families) == 1:
         return families[0]
-    return Closest(*(jnp.concatenate(v) for v in zip(*families, strict=True)))
+    return jax.tree.map(lambda *v: jnp.concatenate(v), *families)
 
 
-def circles_near(model: Model, row: Features, world: Bodies, kept: Kept) -> Closest:
-    """Bars (faces and end circles) against rollers, circle guides and tips."""
+def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """The skin against rollers, circle guides and tips."""
     rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
-    near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
+    half_thickness = rows[-1].half_thickness
+    reach = kept.radius + half_thickness
+    if len(rows) == 1:
+        (row,) = rows
+        near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
+        places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
+    else:
+        near = piece_circle(_pieces(model, *rows), rigid.x, rigid.y, kept.radius)
+        places, lever = _places(model, rows, near.u), near.run * reach
     return Closest(
-        gap=near.gap - row.half_thickness,
+        gap=near.gap - half_thickness,
         nx=near.nx,
         ny=near.ny,
         weight=near.weight * kept.active,
-        arm_x=near.arm * row.c,
-        arm_y=near.arm * row.s,
+        places=places,
         u_n=near.nx * rigid.vx + near.ny * rigid.vy,
         u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
-        lever=jnp.where(near.on_face, kept.radius + row.half_thickness, 0.0),
+        lever=lever,
     )
 
 
@@ -217,46 +279,86 @@ def _chain(model: Model, row: Features) -> Chain:
     return Chain(row.x, row.y, row.c, row.s, row.half_length, ahead, behind, *ends)
 
 
-def lines_near(row: Features, world: Bodies, kept: Kept) -> Closest:
-    """End circles against line guides."""
+def _pieces(model: Model, front: Features, behind: Features) -> Pieces:
+    """The curve at each node, between the middles of the bars in front and behind; at lead and tail from the node itself."""
+    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
+    half = jnp.where(lead | tail, -0.5, -1.0) * front.half_length
+    out, back = jnp.where(lead, front.half_length, 0.0), half
+    return Pieces(
+        x=front.x + out * front.c,
+        y=front.y + out * front.s,
+        first_x=back * front.c,
+        first_y=back * front.s,
+        second_x=back * behind.c,
+        second_y=back * behind.s,
+        lead=lead,
+        tail=tail,
+    )
+
+
+def _places(model: Model, rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
+    """Where the point u of the smooth skin's pieces hangs on the bar in front and on the bar behind."""
+    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
+    found = touched(u, rows[0].half_length, rows[1].half_length, lead, tail)
+    return tuple(Place(f.share, f.arm * row.c, f.arm * row.s) for f, row in zip(found, rows, strict=True))
+
+
+def lines_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """End circles, or points of the smooth skin, against line guides."""
     lines = kept.lines
     assert lines is not None
     if world.line_motion is not None:
         lines = jax.tree.map(lambda v: pick(v, kept.line_index), world.lines)
-    px, py = _points(row)
+    places = _samples(model, rows)
+    px, py = _points(rows, places)
     near = point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length, lines.faces)
-    return _end_circles(row, near, world.line_motion, kept.line_index)
+    return _end_circles(rows, places, near, world.line_motion, kept.line_index)
 
 
-def arcs_near(row: Features, world: Bodies, kept: Kept) -> Closest:
-    """End circles against arc guides."""
+def arcs_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """End circles, or points of the smooth skin, against arc guides."""
     arcs = kept.arcs
     assert arcs is not None
     if world.arc_motion is not None:
         arcs = jax.tree.map(lambda v: pick(v, kept.arc_index), world.arcs)
-    px, py = _points(row)
+    places = _samples(model, rows)
+    px, py = _points(rows, places)
     mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
     near = point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side, arcs.faces)
-    return _end_circles(row, near, world.arc_motion, kept.arc_index)
+    return _end_circles(rows, places, near, world.arc_motion, kept.arc_index)
 
 
-def _points(row: Features) -> tuple[Array, Array]:
-    arm = row.end * row.half_length
-    return row.x + arm * row.c, row.y + arm * row.s
+def _samples(model: Model, rows: tuple[Features, ...]) -> tuple[Place, ...]:
+    """The points of the sheets that guides feel, (1, features): the nodes, or the middles of the smooth skin's pieces and
+    the sheets' ends."""
+    if len(rows) == 1:
+        (row,) = rows
+        arm = row.end * row.half_length
+        return (Place(None, arm * row.c, arm * row.s),)
+    middle = np.where(model.layout.first_feature, 0.0, np.where(model.layout.tail, 1.0, 0.5))
+    return _places(model, rows, jnp.asarray(middle, rows[0].x.dtype)[None, :])
 
 
-def _end_circles(row: Features, near: Near, motion: Rigid | None, index: Array | None) -> Closest:
-    """End circles against a guide's face; a moving guide lends its surface speed at the touched point."""
-    arm = row.end * row.half_length
+def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Array, Array]:
+    x = [row.x + place.arm_x for row, place in zip(rows, places, strict=True)]
+    y = [row.y + place.arm_y for row, place in zip(rows, places, strict=True)]
+    return blend(places, x), blend(places, y)
+
+
+def _end_circles(
+    rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None, index: Array | None
+) -> Closest:
+    """Circles around points of the sheets against a guide's face; a moving guide lends its surface speed at the touched point."""
     u_n = u_t = zero = jnp.zeros_like(near.gap)
+    half_thickness = rows[-1].half_thickness
     if motion is not None:
         rigid = Rigid(*(pick(v, index) for v in motion))
-        px, py = _points(row)
-        rx, ry = px - row.half_thickness * near.nx - rigid.x, py - row.half_thickness * near.ny - rigid.y
+        px, py = _points(rows, places)
+        rx, ry = px - half_thickness * near.nx - rigid.x, py - half_thickness * near.ny - rigid.y
         ux, uy = rigid.vx - rigid.w * ry, rigid.vy + rigid.w * rx
         u_n, u_t = near.nx * ux + near.ny * uy, near.nx * uy - near.ny * ux
-    arms = (jnp.broadcast_to(arm * row.c, zero.shape), jnp.broadcast_to(arm * row.s, zero.shape))
-    return Closest(near.gap - row.half_thickness, near.nx, near.ny, near.weight, *arms, u_n, u_t, zero)
+    places = jax.tree.map(lambda v: jnp.broadcast_to(v, zero.shape), places)
+    return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, zero)
 
 
 def by_circle(kept: Kept, values: Array, count: int) -> Array:

@@ -15,8 +15,8 @@ from jax import Array
 
 from diffeed import stick
 from diffeed.bodies import Bodies, bodies, shift_at
-from diffeed.contact import Kept, Pairs, RollerPairs, by_circle, roller_contacts, sheet_contacts
-from diffeed.kinematics import Pose, from_nodes, pose
+from diffeed.contact import Kept, Lever, Pairs, RollerPairs, by_circle, roller_contacts, shared, sheet_contacts, to_bars
+from diffeed.kinematics import Pose, pose
 from diffeed.model import Hold, Model
 from diffeed.state import State
 from diffeed.sums import up_to_centre
@@ -217,9 +217,27 @@ def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
 
 
 def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
-    """Contacts summed over bodies, features given back to their bars."""
+    """Contacts summed over bodies, features given back to their bars.
+
+    A contact on two bars with shares s_j feels g.v = sum s_j g_j.v. Its own matrix g g' has a block between the two bars, for
+    which the chain has no place. In it stands sum s_j g_j g_j', which is at least g g' because a square is convex: symmetric,
+    positive, so that the step stays stable, and the force is the exact one; the difference resists changes of the two bars'
+    relative speed and vanishes with the step.
+    """
     e = felt(pairs, step)
-    nx, ny, rn, rt = pairs.nx, pairs.ny, pairs.rn, pairs.rt
+    entries = [_entries(pairs, lever, e, step) for lever in pairs.levers]
+    # Stacked, then summed at once: summed one by one, each would compute the contact law again.
+    sums = jnp.sum(jnp.stack([entry for each in entries for entry in each]), axis=1)
+    fx, fy, fw, *matrix = to_bars(model, jnp.split(sums, len(entries)))
+    if not step.implicit:
+        return _terms(model, fx=fx, fy=fy, fw=fw)
+    xx, xy, yy, xw, yw, ww, turning = matrix
+    return BarTerms(xx, xy, yy, xw, yw, ww + step.h * turning, fx, fy, fw - turning * at.w)
+
+
+def _entries(pairs: Pairs, lever: Lever, pair: Felt, step: Step) -> list[Array]:
+    """What pairs add to one of their bars: force, and if implicit matrix and geometric stiffness; (bodies, features) each."""
+    e, nx, ny, rn, rt = Felt(*(shared(lever, v) for v in pair)), pairs.nx, pairs.ny, lever.rn, lever.rt
     entries = [e.f_n * nx - e.f_t * ny, e.f_n * ny + e.f_t * nx, e.f_n * rn + e.f_t * rt]
     if step.implicit:
         entries += [
@@ -229,14 +247,9 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
             e.a_n * nx * rn - e.a_t * ny * rt,
             e.a_n * ny * rn + e.a_t * nx * rt,
             e.a_n * rn * rn + e.a_t * rt * rt,
-            step.h * pairs.turning,
+            step.h * shared(lever, pairs.turning),
         ]
-    # Stacked, then summed at once: summed one by one, each would compute the contact law again.
-    fx, fy, fw, *matrix = from_nodes(model.layout, jnp.sum(jnp.stack(entries), axis=1))
-    if not step.implicit:
-        return _terms(model, fx=fx, fy=fy, fw=fw)
-    xx, xy, yy, xw, yw, ww, turning = matrix
-    return BarTerms(xx, xy, yy, xw, yw, ww + step.h * turning, fx, fy, fw - turning * at.w)
+    return entries
 
 
 # --- rollers and clamps -----------------------------------------------------------------------------------------------
@@ -290,29 +303,30 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
     move, free, both = rollers.movable, rollers.free, slice(rollers.counts[0], m)
     e = Felt(*(v[:n] for v in felt(pairs, step)))
-    circles = pairs._replace(nx=pairs.nx[:n], ny=pairs.ny[:n], rn=pairs.rn[:n], rt=pairs.rt[:n])
-    gn = -(kept.travel_x * circles.nx + kept.travel_y * circles.ny)
-    gt = kept.travel_x * circles.ny - kept.travel_y * circles.nx
+    nx, ny = pairs.nx[:n], pairs.ny[:n]
+    gn = -(kept.travel_x * nx + kept.travel_y * ny)
+    gt = kept.travel_x * ny - kept.travel_y * nx
     gs = -kept.spin_lever
     an, at, asp = e.a_n * gn, e.a_t * gt, e.a_t * gs
-    nx, ny, rn, rt = circles.nx, circles.ny, circles.rn, circles.rt
-    pairwise = [
-        an * nx - at * ny,
-        an * ny + at * nx,
-        an * rn + at * rt,
-    ]  # what a travel couples to the bar: x, y, turning
-    pairwise += [-asp * ny, asp * nx, asp * rt]  # and a spin
+    pairwise = []
+    for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
+        rn, rt = lever.rn, lever.rt
+        # What a travel couples to the bar (x, y, turning), and a spin.
+        coupled = [an * nx - at * ny, an * ny + at * nx, an * rn + at * rt, -asp * ny, asp * nx, asp * rt]
+        pairwise += [shared(lever, v) for v in coupled]
+    last = len(pairwise)
     pairwise += [an * gn + at * gt, asp * gs, at * gs, e.f_n * gn + e.f_t * gt, e.f_t * gs]
     felt_by = by_circle(kept, jnp.stack(pairwise), rollers.n)
-    columns = jnp.concatenate([felt_by[:3, move], felt_by[3:6, free]], axis=1).swapaxes(0, 1)
-    along, turning, cross, push, twist = jnp.sum(felt_by[6:], axis=2)
+    columns = to_bars(model, jnp.split(felt_by[:last], last // 6))
+    columns = jnp.concatenate([columns[:3, move], columns[3:, free]], axis=1).swapaxes(0, 1)
+    along, turning, cross, push, twist = jnp.sum(felt_by[last:], axis=2)
     matrix = jnp.diag(jnp.concatenate([along[move], turning[free]]))
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
         at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in _both(rollers.counts))
         mixed = (at_travel.T * cross[both][None]) @ at_spin
         matrix = matrix + mixed + mixed.T
-    return from_nodes(model.layout, columns), matrix, jnp.concatenate([push[move], twist[free]])
+    return columns, matrix, jnp.concatenate([push[move], twist[free]])
 
 
 def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 from jax import Array
 
+from diffeed.contact import heading
 from diffeed.energy import Energies, energies
-from diffeed.kinematics import to_nodes
 from diffeed.model import build
 from diffeed.observe import commanded_speed
 from diffeed.parts import Scene
@@ -52,7 +52,7 @@ def approach(scene: Scene, states: State) -> Approach:
         at, _, touching = look(model, state)
         pairs = touching.sheets
         assert pairs is not None
-        c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
+        c, s = heading(model, at, pairs)
         return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

@@ -34,7 +34,7 @@ class BadStep(NamedTuple):
     step: int
     time: float
     part: str  # the body of the pair
-    feature: str  # the bar or end circle of the sheet
+    feature: str  # the bar or end circle of the sheet (of the smooth skin: the piece at the bar's front node)
     term: str
     numbers: tuple[str, ...]  # numbers of the scene whose derivative is not finite
 

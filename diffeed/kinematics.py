@@ -49,6 +49,23 @@ def from_nodes(layout: Layout, values: Array) -> Array:
     return jnp.concatenate(pieces, axis=-1)
 
 
+def pieces_to_bars(layout: Layout, in_front: Array, behind: Array) -> Array:
+    """(..., nodes) twice -> (..., bars): what each node has for the bar in front of it and for the bar behind it."""
+    pieces = []
+    for k, s in enumerate(layout.slices()):
+        a, b = s.start + k, s.stop + k
+        pieces.append(behind[..., a:b] + in_front[..., a + 1 : b + 1])
+    return jnp.concatenate(pieces, axis=-1)
+
+
+def to_nodes_behind(layout: Layout, values: Array) -> Array:
+    """(..., bars) -> (..., nodes): each bar's value to the node behind it, the first bar's to the lead as well."""
+    pieces = []
+    for s in layout.slices():
+        pieces += [values[..., s.start : s.start + 1], values[..., s]]
+    return jnp.concatenate(pieces, axis=-1)
+
+
 def nodes(model: Model, at: Pose) -> tuple[Array, Array]:
     """Node positions x, y, each (nodes,), mm."""
     half = model.bars.half_length

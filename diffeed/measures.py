@@ -134,7 +134,7 @@ class PairGaps(NamedTuple):
 
     gap: Array  # (frames, bodies, features)
     bodies: tuple[str, ...]  # a guide's own face and its two tips are bodies of the same name
-    features: tuple[str, ...]  # "film.3": bar 3 with its front end circle; "film.tail"
+    features: tuple[str, ...]  # "film.3": bar 3 with its front end circle, or the smooth skin at node 3; "film.tail"
 
 
 def pair_gaps(scene: Scene, trajectory: Trajectory) -> PairGaps:

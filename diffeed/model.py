@@ -65,7 +65,7 @@ class Layout:
 
     @cached_property
     def tail(self) -> np.ndarray:
-        """(features,) bool: the feature is a tail's end circle; the others are bars."""
+        """(features,) bool: the feature is a tail's end circle; the others are bars (on the smooth skin: pieces)."""
         return np.concatenate([np.arange(n + 1) == n for n in self.bars])
 
     @cached_property
@@ -199,7 +199,7 @@ class Arcs:
 
 @record
 class Circles:
-    """What bar faces can touch: rollers first, then circle guides, then the free tips of lines and arcs; (circles,).
+    """What any place of a sheet can touch: rollers first, then circle guides, then the free tips of lines and arcs; (circles,).
 
     Positions here are those of guides and tips only; a roller's come from the state.
     """
@@ -269,6 +269,7 @@ class Model:
     pairs: tuple[tuple[int, int], ...] = word(default=(), doc="roller pairs that may meet", type=tuple)
     n_circle_guides: int = word(default=0, doc="circle guides among the circles", type=int)
     circle_names: tuple[str, ...] = word(default=(), doc="part behind each circle", type=tuple)
+    skin: str = word(default="bars", doc="what of the sheets touches: bars or smooth")
     sticks: tuple[bool, bool] = word(
         default=(False, False), doc="whether any circle, and any line or arc, has friction that sticks", type=tuple
     )
@@ -331,6 +332,7 @@ def build(scene: Scene) -> Model:
         n_circle_guides=len(circle_guides),
         circle_names=tuple(name for name, _ in circle_owners),
         sticks=(_sticks(scene, circle_owners), _sticks(scene, lines + arcs)),
+        skin=scene.skin,
     )
 
 

@@ -11,9 +11,10 @@ from jax import Array
 
 from diffeed import spans
 from diffeed.bodies import Bodies
+from diffeed.contact import heading
 from diffeed.energy import Powers, powers
 from diffeed.forces import Contacts
-from diffeed.kinematics import Pose, nodes, pose, to_nodes
+from diffeed.kinematics import Pose, nodes, pose
 from diffeed.model import Model
 from diffeed.parts import Scene
 from diffeed.records import number, record, replace
@@ -286,8 +287,8 @@ def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> 
     if touching.sheets is None or model.rollers.n == 0:
         return jnp.zeros((len(model.layout.names),))
     n, pairs = model.rollers.n, touching.sheets
-    c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
-    along = pairs.nx[:n] * s - pairs.ny[:n] * c
+    c, s = heading(model, at, pairs)
+    along = (pairs.nx * s - pairs.ny * c)[:n]
     force = pairs.touch.force[:n] * model.rollers.driven[:, None].astype(pairs.gap.dtype)
     pull = jnp.sum(force * along * (spin * model.rollers.radius)[:, None], axis=0)
     # One product instead of slices: each slice would compute the contact law again.

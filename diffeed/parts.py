@@ -280,6 +280,11 @@ class Scene:
         doc='start from the rest state ("settled") or from the records ("given")',
         choices=("settled", "given"),
     )
+    skin: str = word(
+        default="bars",
+        doc='what touches: bars with round joints ("bars") or the smooth curve through their midpoints ("smooth")',
+        choices=("bars", "smooth"),
+    )
     goal: str = word(default="", doc="sensor that the tail must pass for the run to count as passed; empty: none")
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from jax import Array
 
 from diffeed.bodies import Bodies, bodies, shift_at, spins
-from diffeed.contact import Pairs, keep_all, keep_rollers
+from diffeed.contact import Pairs, heading, keep_all, keep_rollers, shared, to_bars
 from diffeed.forces import Contacts, contacts
-from diffeed.kinematics import Pose, from_nodes, node_velocities, nodes, pose, to_nodes
+from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import NEWTON, Model
 from diffeed.smooth import divide
 from diffeed.state import State
@@ -32,7 +32,7 @@ def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
 
     A joined tip touches nothing: its gap is infinite.
     """
-    c, s = (to_nodes(model.layout, v, v)[None, :] for v in (at.c, at.s))
+    c, s = heading(model, at, pairs)
     touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
     gap = jnp.min(pairs.gap, axis=1)
     n = min(gap.shape[0], len(model.circle_names))  # the rollers alone, or all bodies
@@ -132,8 +132,9 @@ def contact_on_bars(model: Model, touching: Contacts) -> tuple[Array, Array, Arr
         return zero, zero, zero
     pairs = touching.sheets
     f, t = pairs.touch.force, -pairs.touch.friction
-    sums = jnp.stack([jnp.sum(v, axis=0) for v in (f, f * pairs.nx - t * pairs.ny, f * pairs.ny + t * pairs.nx)])
-    force, x, y = from_nodes(model.layout, sums) / NEWTON
+    values = (f, f * pairs.nx - t * pairs.ny, f * pairs.ny + t * pairs.nx)
+    sums = [jnp.stack([jnp.sum(shared(lever, v), axis=0) for v in values]) for lever in pairs.levers]
+    force, x, y = to_bars(model, sums) / NEWTON
     return force, x, y
 
 

@@ -67,7 +67,8 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     force = pairs.touch.force[: model.rollers.n][driven][:, features]  # (driven, features)
     bar = sheet.length / sheet.bars
     count = layout.bars[k]
-    place = jnp.asarray(np.arange(count + 1) + 0.5, bar.dtype) * bar
+    middle = 0.0 if model.skin == "smooth" else 0.5  # a feature is centred on its node or on its bar
+    place = jnp.asarray(np.arange(count + 1) + middle, bar.dtype) * bar
     total = jnp.sum(force, axis=1)
     at = divide(force @ place, total)  # mm behind the lead where each nip holds
     holds = (total > 0).astype(at.dtype)
@@ -77,7 +78,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     between = jnp.sum(jnp.where(inner, holds[None], 0.0), axis=1)
     apart = (between == 0) & (high - low > 2.0 * bar)
     neighbours = jnp.where(apart, holds[i] * holds[j], 0.0)
-    centres = place[:count]
+    centres = jnp.asarray(np.arange(count) + 0.5, bar.dtype) * bar
     inside = ((centres[None] > low[:, None]) & (centres[None] < high[:, None])).astype(at.dtype)
     mean = divide(inside @ tension[bars], jnp.sum(inside, axis=1))
     stiffness = sheet.youngs_modulus * sheet.thickness**3 * sheet.width / 12.0  # N mm2

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.contact import Kept, Pairs, by_circle, features, pick, picked
+from diffeed.contact import Kept, Pairs, blend, by_circle, features, laid_out, pick, picked
 from diffeed.contact_law import SLIDES, Grip, stick_deflection
-from diffeed.kinematics import Pose, to_nodes
+from diffeed.kinematics import Pose
 from diffeed.model import Model
 from diffeed.records import replace
 from diffeed.smooth import divide
@@ -109,15 +109,15 @@ def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
     coefficient = surface.friction
     if surface.static_excess is not None:
         coefficient = coefficient * (1.0 + surface.static_excess)
-    limit = coefficient * features(model, at).friction_factor * pairs.touch.force
+    limit = coefficient * features(model, at)[-1].friction_factor * pairs.touch.force
     friction, most = _gather(model, pairs, kept, (pairs.touch.friction, limit))
     return stick_deflection(divide(friction, most))
 
 
 def _sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
     """(rows, features), mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
-    x, y, w = (to_nodes(model.layout, v, v)[None, :] for v in (a.x, a.y, a.w))
-    gained = pairs.nx * y - pairs.ny * x + pairs.rt * w
+    rows = zip(laid_out(model, (a.x, a.y, a.w)), pairs.levers, strict=True)
+    gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])
     if not (model.n_border and kept.n_circles):
         return gained
     rollers, n = model.rollers, kept.n_circles

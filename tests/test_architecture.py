@@ -13,7 +13,7 @@ PACKAGE = ROOT / "diffeed"
 
 RANKS = """
     names records tuning terminal smooth
-    shapes contact_law
+    shapes skin contact_law
     parts
     check_values
     check_rules
