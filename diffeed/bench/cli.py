@@ -256,7 +256,9 @@ def _tell(found: "Front", wanted: dict[str, float]) -> bool:
     for reason in advice.reasons:
         click.echo(f"  {reason}")
     if advice.met:
-        click.echo("Sure: margins are wide and neighbours agree." if advice.sure else "Not sure: see the reasons above.")
+        click.echo(
+            "Sure: margins are wide and neighbours agree." if advice.sure else "Not sure: see the reasons above."
+        )
     for other in cheaper_models(found, row, wanted) if advice.met else []:
         click.echo(f"Cheaper, but another model or precision: {other}")
     click.echo(f"\n  {command(found, row)}\n  {call(row)}\n")
