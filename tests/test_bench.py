@@ -26,6 +26,7 @@ from diffeed.bench import (
     records,
     report,
     settings,
+    timing,
     transport,
 )
 from diffeed.bench import front as fronts
@@ -187,6 +188,8 @@ def test_float32_leaves_the_session_as_it_was(swept):
     row = next(r for r in swept.rows if r.setting.precision == "float32")
     assert row.status == "ok", row.reason
     assert 0.0 < row.errors["lead"] < 1.0
+    with timing.precision("float32"):
+        assert jnp.zeros(()).dtype == jnp.float32
     assert jnp.zeros(()).dtype == jnp.float64
 
 

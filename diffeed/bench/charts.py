@@ -234,8 +234,10 @@ def features(rows: list[dict[str, Any]]) -> "Axes":
     from matplotlib import pyplot
 
     keys = {"equations": "Equations", "compile_seconds": "Compile time (s)", "us_per_step": "Time per step (us)"}
+    keys = {key: title for key, title in keys.items() if any(r.get(key) for r in rows)}
     size = (plot_style.WIDTH, 0.9 + 0.2 * len(rows))
-    _, made = pyplot.subplots(1, len(keys), figsize=size, dpi=150, layout="constrained", sharey=True)
+    _, grid = pyplot.subplots(1, len(keys), figsize=size, dpi=150, layout="constrained", sharey=True, squeeze=False)
+    made = grid[0]
     places = np.arange(len(rows))
     for ax, (key, title) in zip(made, keys.items(), strict=True):
         values = np.array([r.get(key, np.nan) for r in rows], float)

@@ -114,14 +114,15 @@ def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
 
 @bench.command(context_settings=SETTINGS)
 @OUT
+@click.option("--only-equations", is_flag=True, help="Count, but compile and time nothing.")
 @FORCE
-def features(out: Path | None, force: bool) -> None:
+def features(out: Path | None, only_equations: bool, force: bool) -> None:
     """What each feature costs: a scene with all of them, and with one taken away."""
     from diffeed.bench.files import names_of, write_rows
     from diffeed.bench.report import print_features
 
     with stoppable(), _draft(out, names_of("features"), force) as draft:
-        rows, machine = _measured(lambda show: _features(show))
+        rows, machine = _measured(lambda show: _features(show, times=not only_equations))
         from diffeed.bench import charts
         from diffeed.bench.features import free_of_charge
 
@@ -185,10 +186,10 @@ def _growth(quick: bool, patience: float, show: Any) -> list[dict[str, Any]]:
     return growth(quick, patience, show)
 
 
-def _features(show: Any) -> list[dict[str, Any]]:
+def _features(show: Any, times: bool) -> list[dict[str, Any]]:
     from diffeed.bench.features import features
 
-    return features(show=show)
+    return features(times=times, show=show)
 
 
 def _batch(
