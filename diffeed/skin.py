@@ -76,11 +76,12 @@ def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNea
     at_end = (rx + ax + bx) * bx + (ry + ay + by) * by
     linear, square, cube = 2.0 * size + rx * kx + ry * ky, 3.0 * (ax * kx + ay * ky), kx * kx + ky * ky
     # The ends of a sheet are round: whatever lies beyond them is theirs.
-    bar = np.where(piece.lead | piece.tail, 4.0, 2.0) * HAND_OVER * size
+    bars = np.where(piece.lead | piece.tail, 2.0, 1.0)  # pieces in a bar: at the ends they are half as long
+    bar = 2.0 * HAND_OVER * bars * size
     begun = jnp.where(piece.lead, 1.0, step_down(at_start / bar, 1.0))
     ended = jnp.where(piece.tail, 0.0, step_down(at_end / bar, 1.0))
     weight = begun * (1.0 - ended)
-    beyond = jnp.where(weight > 0, BEYOND, 0.0)
+    beyond = jnp.where(weight > 0, BEYOND * bars, 0.0)
     first, last = jnp.where(piece.lead, 0.0, -beyond), jnp.where(piece.tail, 1.0, 1.0 + beyond)
     u, slope = jnp.full_like(size, 0.5), size
     for _ in range(STEPS):
