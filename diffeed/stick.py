@@ -89,13 +89,12 @@ def advance(model: Model, grip: Array | None, pairs: Pairs | None, a: Solution, 
 
 
 def slope(model: Model, grip: Array | None, pairs: Pairs | None, h: Array, kept: Kept) -> Array | None:
-    """Time derivative of the deflections, for an explicit step of length h: none that would pass the bound; where nothing
+    """Time derivative of the deflections, for an explicit step of length h, whose end is then `bounded`; where nothing
     presses they fade within a few steps."""
     if grip is None or pairs is None:
         return grip
     rate, pressed = pull(model, pairs, pairs.v_t, kept)
-    held = (jnp.abs(grip) < SLIDES) | (grip * rate < 0)
-    return jnp.where(pressed, jnp.where(held, rate, 0.0), -grip / h)
+    return jnp.where(pressed, rate, -grip / h)
 
 
 def bounded(grip: Array | None) -> Array | None:

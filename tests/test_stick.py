@@ -153,7 +153,7 @@ def test_a_settled_start_holds_what_settling_found():
 
 @pytest.mark.slow
 def test_an_explicit_method_slides_as_far_and_stops():
-    """Its own bound and its own slope of the deflections, beside the implicit step, after a kick from rest."""
+    """Slopes of the deflections and a bound after each step, beside the implicit step, after a kick from rest."""
     scene = inclined(12.0)
     lean = np.deg2rad(12.0)
     start = replace(diffeed.settle(scene), vx=jnp.asarray([10.0]))
@@ -261,16 +261,21 @@ def test_what_does_not_stick_is_not_there():
     assert stick.fitted(loose, stick.fitted(stuck, free)).grip is None
 
 
-def test_pruned_pairs_move_the_same_deflections():
+@pytest.mark.parametrize("sheets", [("film",), pytest.param(("film", "other"), marks=pytest.mark.slow)])
+def test_pruned_pairs_move_the_same_deflections(sheets):
     """The few bodies kept for each feature against all of them, on the film feeder with random deflections."""
     scene = sticking(diffeed.load_scene("film_feeder"))
+    film = scene.sheets["film"]
+    scene = replace(
+        scene, sheets={n: replace(film, lead=film.lead + jnp.asarray([120.0 * k, 0.0])) for k, n in enumerate(sheets)}
+    )
 
     @jax.jit
     def both(scene):
         model, h = build(scene), jnp.asarray(1e-4)
         state = initial_state(model, scene)
         grip = jax.random.uniform(jax.random.key(0), state.grip.shape, state.grip.dtype, -1.0, 1.0)
-        wave = 0.15 * jnp.cos(0.3 * jnp.pi * jnp.arange(20.0))  # it reaches the guides above and below
+        wave = 0.15 * jnp.cos(0.3 * jnp.pi * jnp.arange(20.0 * len(sheets)))  # it reaches the guides above and below
         state = replace(state, grip=grip, travel=state.travel - 0.02, heading=wave)
         found = search(model, state, 16 * h).kept
         assert found.circle_index is not None
