@@ -208,7 +208,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
     raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].friction_factor, grip)
-    touch = Touch(*(near.weight * v for v in raw))
+    touch = jax.tree.map(lambda v: near.weight * v, raw)
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
     return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), v_n, v_t, near.weight, touch.force * near.lever)

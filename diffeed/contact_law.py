@@ -27,10 +27,10 @@ damp far more. A longer one would shorten the steps of explicit methods below wh
 class Surface:
     """Contact properties, one entry per body or pair. Forces in kg mm/s2."""
 
-    friction: Any
+    friction: Any  # None: no set has any
     stiffness: Any
     exponent: Any
-    damping: Any
+    damping: Any  # None: no set has any
     damping_exponent: Any
     smoothing: Any
     stick_speed: Any
@@ -51,9 +51,11 @@ class Touch(NamedTuple):
 
     force: Array  # F >= 0, kg mm/s2
     stiffness: Array  # K = max(0, dF/dd), kg/s2
-    damping: Array  # C = dF/dd', kg/s
+    damping: Array | None  # C = dF/dd', kg/s; None: no set is damped
     friction: Array  # kg mm/s2, along -t: mu F phi(v_t), or what the deflection holds
-    secant: Array  # by how much it grows with v_t, kg/s: mu F phi(v_t)/v_t, or that of the deflection
+    secant: (
+        Array | None
+    )  # None: no set has friction. By how much it grows with v_t, kg/s: mu F phi(v_t)/v_t, or that of the deflection
 
 
 class Grip(NamedTuple):
@@ -80,16 +82,23 @@ def contact_law(
     """
     depth, slope = ramp(penetration, surface.smoothing)
     touching = depth > 0
-    elastic_power, damping_power = powers(depth, (surface.exponent, surface.damping_exponent))
-    elastic, damping = surface.stiffness * elastic_power, surface.damping * damping_power
-    raw = elastic - damping * v_n
-    pushing = touching & (raw > 0)
     per_depth = slope / jnp.where(touching, depth, 1.0)
-    tangent = (elastic * surface.exponent - damping * surface.damping_exponent * v_n) * per_depth
-    force = jnp.where(pushing, raw, 0.0)
-    stiffness = jnp.where(pushing, jnp.maximum(tangent, 0.0), 0.0)
+    if surface.damping is None:
+        force = surface.stiffness * power(depth, surface.exponent)
+        stiffness, damping = force * surface.exponent * per_depth, None
+    else:
+        elastic_power, damping_power = powers(depth, (surface.exponent, surface.damping_exponent))
+        elastic, damping = surface.stiffness * elastic_power, surface.damping * damping_power
+        raw = elastic - damping * v_n
+        pushing = touching & (raw > 0)
+        tangent = (elastic * surface.exponent - damping * surface.damping_exponent * v_n) * per_depth
+        force = jnp.where(pushing, raw, 0.0)
+        stiffness = jnp.where(pushing, jnp.maximum(tangent, 0.0), 0.0)
+        damping = jnp.where(pushing, damping, 0.0)
+    if surface.friction is None:
+        return Touch(force, stiffness, damping, jnp.zeros_like(force), None)
     secant = friction_factor * force * friction_secant(surface, v_t)
-    touch = Touch(force, stiffness, jnp.where(pushing, damping, 0.0), secant * v_t, secant)
+    touch = Touch(force, stiffness, damping, secant * v_t, secant)
     if grip is None or surface.stick is None:
         return touch
     held, held_secant = stick_friction(surface, v_t, grip)

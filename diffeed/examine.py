@@ -124,13 +124,14 @@ def explicit_limit(model: Model, state: State) -> tuple[float, str]:
     lightest = float(jnp.min(bars.mass))
     pairs = touching.sheets
     if pairs is not None:
-        k, c, s = (float(jnp.max(v)) for v in (pairs.touch.stiffness, pairs.touch.damping, pairs.touch.secant))
+        touch = pairs.touch
+        k, c, s = (0.0 if v is None else float(jnp.max(v)) for v in (touch.stiffness, touch.damping, touch.secant))
         # An end circle turns its bar too: a quarter of the mass acts there.
         causes.append((2.78 / max((4.0 * k / lightest) ** 0.5, 1e-30), "contact stiffness"))
         causes.append((2.78 * lightest / max(4.0 * c, 1e-30), "contact damping"))
         causes.append((2.78 * lightest / max(4.0 * s, 1e-30), "friction below the stick speed"))
-        if model.surface.stick is not None:
-            held = jnp.where(model.surface.stick[:, None], pairs.touch.secant, 0.0)
+        if model.surface.stick is not None and touch.secant is not None:
+            held = jnp.where(model.surface.stick[:, None], touch.secant, 0.0)
             spring = float(jnp.max(held)) / BRISTLE_LAG
             causes.append((2.78 / max((4.0 * spring / lightest) ** 0.5, 1e-30), "tangential stiffness of what sticks"))
     return min(causes)

@@ -198,22 +198,30 @@ def walls(model: Model, state: State, step: Step) -> BarTerms | None:
 
 
 class Felt(NamedTuple):
-    """A contact as the step feels it."""
+    """A contact as the step feels it; along the tangent None where nothing has friction."""
 
     a_n: Array  # added to the matrix along the normal, kg
-    a_t: Array  # and along the tangent
+    a_t: Array | None  # and along the tangent
     f_n: Array  # force along the normal, kg mm/s2
-    f_t: Array
+    f_t: Array | None
+
+    def full(self) -> tuple[Array, Array, Array, Array]:
+        """The same with zeros."""
+        zero = jnp.zeros_like(self.f_n)
+        return self.a_n, zero if self.a_t is None else self.a_t, self.f_n, zero if self.f_t is None else self.f_t
 
 
 def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
     """Implicit parts of contacts: (h^2 K + h C), h times the secant of friction, F - h K v_n, and minus friction."""
     touch, h = pairs.touch, step.h
+    slick = touch.secant is None
+    f_t = None if slick else -touch.friction
     if not step.implicit:
         zero = jnp.zeros_like(touch.force)
-        return Felt(zero, zero, touch.force, -touch.friction)
+        return Felt(zero, None if slick else zero, touch.force, f_t)
     lagged = h * touch.stiffness
-    return Felt(h * (lagged + touch.damping), h * touch.secant, touch.force - lagged * pairs.v_n, -touch.friction)
+    a_n = h * (lagged if touch.damping is None else lagged + touch.damping)
+    return Felt(a_n, None if slick else h * touch.secant, touch.force - lagged * pairs.v_n, f_t)
 
 
 def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
@@ -237,7 +245,14 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
 
 def _entries(pairs: Pairs, lever: Lever, pair: Felt, step: Step) -> list[Array]:
     """What pairs add to one of their bars: force, and if implicit matrix and geometric stiffness; (bodies, features) each."""
-    e, nx, ny, rn, rt = Felt(*(shared(lever, v) for v in pair)), pairs.nx, pairs.ny, lever.rn, lever.rt
+    e, nx, ny, rn, rt = jax.tree.map(lambda v: shared(lever, v), pair), pairs.nx, pairs.ny, lever.rn, lever.rt
+    turning = [step.h * shared(lever, pairs.turning)] if step.implicit else []
+    if e.a_t is None or e.f_t is None:
+        entries = [e.f_n * nx, e.f_n * ny, e.f_n * rn]
+        if step.implicit:
+            ax, ay = e.a_n * nx, e.a_n * ny
+            entries += [ax * nx, ax * ny, ay * ny, ax * rn, ay * rn, e.a_n * rn * rn]
+        return entries + turning
     entries = [e.f_n * nx - e.f_t * ny, e.f_n * ny + e.f_t * nx, e.f_n * rn + e.f_t * rt]
     if step.implicit:
         entries += [
@@ -247,9 +262,8 @@ def _entries(pairs: Pairs, lever: Lever, pair: Felt, step: Step) -> list[Array]:
             e.a_n * nx * rn - e.a_t * ny * rt,
             e.a_n * ny * rn + e.a_t * nx * rt,
             e.a_n * rn * rn + e.a_t * rt * rt,
-            step.h * shared(lever, pairs.turning),
         ]
-    return entries
+    return entries + turning
 
 
 # --- rollers and clamps -----------------------------------------------------------------------------------------------
@@ -302,12 +316,12 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     """Coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
     rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
     move, free, both = rollers.movable, rollers.free, slice(rollers.counts[0], m)
-    e = Felt(*(v[:n] for v in felt(pairs, step)))
+    a_n, a_t, f_n, f_t = (v[:n] for v in felt(pairs, step).full())
     nx, ny = pairs.nx[:n], pairs.ny[:n]
     gn = -(kept.travel_x * nx + kept.travel_y * ny)
     gt = kept.travel_x * ny - kept.travel_y * nx
     gs = -kept.spin_lever
-    an, at, asp = e.a_n * gn, e.a_t * gt, e.a_t * gs
+    an, at, asp = a_n * gn, a_t * gt, a_t * gs
     pairwise = []
     for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
         rn, rt = lever.rn, lever.rt
@@ -315,7 +329,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
         coupled = [an * nx - at * ny, an * ny + at * nx, an * rn + at * rt, -asp * ny, asp * nx, asp * rt]
         pairwise += [shared(lever, v) for v in coupled]
     last = len(pairwise)
-    pairwise += [an * gn + at * gt, asp * gs, at * gs, e.f_n * gn + e.f_t * gt, e.f_t * gs]
+    pairwise += [an * gn + at * gt, asp * gs, at * gs, f_n * gn + f_t * gt, f_t * gs]
     felt_by = by_circle(kept, jnp.stack(pairwise), rollers.n)
     columns = to_bars(model, jnp.split(felt_by[:last], last // 6))
     columns = jnp.concatenate([columns[:3, move], columns[3:, free]], axis=1).swapaxes(0, 1)
@@ -337,7 +351,7 @@ def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
     """Rollers against each other: rows of g_n and g_t in the border's unknowns, (pairs, border)."""
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
-    e = felt(pairs, step)
+    a_n, a_t, f_n, f_t = felt(pairs, step).full()
     start = rollers.counts[0]
     gn, gt = jnp.zeros((len(model.pairs), m)), jnp.zeros((len(model.pairs), m + f))
     for side, k in ((1.0, 0), (-1.0, 1)):
@@ -349,8 +363,8 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
         gn = gn + side * at_travel * along
         gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
     rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
-    weighed = jnp.concatenate([e.a_n, e.a_t])[:, None] * rows
-    found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([e.f_n, e.f_t])[:, None]], axis=1)
+    weighed = jnp.concatenate([a_n, a_t])[:, None] * rows
+    found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1)
     return found[:, :-1], found[:, -1]
 
 

@@ -138,7 +138,10 @@ def _bad_pairs(scene: Scene, state: State) -> dict[str, Array]:
     def term(name: str) -> Callable[[Scene, State], Array]:
         def value(scene: Scene, state: State) -> Array:
             pairs = pairs_of(scene, state)
-            return jnp.broadcast_to(getattr(pairs if name in GEOMETRY else pairs.touch, name), shape)
+            found = getattr(pairs if name in GEOMETRY else pairs.touch, name)
+            return jnp.broadcast_to(
+                jnp.zeros(()) if found is None else found, shape
+            )  # None: the scene has no such term
 
         return value
 

@@ -85,7 +85,9 @@ def _head(model: Model, scene: Scene, trajectory: Trajectory, name: str) -> dict
     feature, first = model.layout.starts[k] + k, len(model.circle_names)
     gap, into, weight = (v[:, first:, feature] for v in approach(scene, trajectory.states))  # (frames, guides)
     gap = jnp.where(weight > 0, gap, jnp.inf)
-    friction = jnp.stack([scene.guides[n].friction for n in (*model.lines.names, *model.arcs.names)])
+    guides = [scene.guides[n] for n in (*model.lines.names, *model.arcs.names)]
+    slick = np.array([scene.contacts[g.contact].friction_law == "none" for g in guides])
+    friction = jnp.where(slick, 0.0, jnp.stack([g.friction for g in guides]))
     holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)
     steep = jnp.arcsin(jnp.clip(into, -0.999, 0.999)) / holds[None]
     finite = jnp.where(jnp.isfinite(gap), gap, NEAR)

@@ -60,7 +60,7 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     """Slip (mm/s) that the regularised law needs to carry the mean square friction at the mean normal force.
 
     Slip below it is a trait of the law, not of the machine: v = vs phi^-1(load / (mu N)), with the load cut at 95 % of the
-    limit, beyond which sliding is real. 0 where friction sticks: nothing creeps there. Needs observe=("nips",).
+    limit, beyond which sliding is real. 0 where friction sticks (nothing creeps there) or is not. Needs observe=("nips",).
     """
     nips = _seen(trajectory, "nips", "creep_floor")
     scene = normalise(scene)
@@ -69,7 +69,7 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     for name in trajectory.rollers:
         roller, stats = scene.rollers[name], nips[name]
         contact = scene.contacts[roller.contact]
-        if contact.friction_law == "stick":
+        if contact.friction_law in ("stick", "none"):
             floors[name] = jnp.zeros_like(stats.force_mean)
             continue
         limit = roller.friction * factor * stats.force_mean

@@ -557,11 +557,14 @@ def _surface_of(
         excess = per_body([0.0 if c.static_ratio is None else c.static_ratio - 1.0 for c in contacts])
     tanh, stick = (np.array([contacts[k].friction_law == law for k in index], dtype=bool) for law in ("tanh", "stick"))
     sticks = can_stick and bool(stick.any())
+    slick = np.array([contacts[k].friction_law == "none" for k in index], dtype=bool)
+    damped = np.array([c.damped for c in contacts])
+    damping = NEWTON * per_body([c.damping for c in contacts])
     return Surface(
-        friction=friction,
+        friction=None if len(index) and slick.all() else jnp.where(slick, 0.0, friction) if slick.any() else friction,
         stiffness=NEWTON * per_body([c.stiffness for c in contacts]),
         exponent=per_body([c.exponent for c in contacts]),
-        damping=NEWTON * per_body([c.damping for c in contacts]),
+        damping=damping if damped.all() else jnp.where(damped[index], damping, 0.0) if damped[index].any() else None,
         damping_exponent=per_body([c.damping_exponent for c in contacts]),
         smoothing=per_body([c.smoothing for c in contacts]),
         stick_speed=per_body([c.stick_speed for c in contacts]),

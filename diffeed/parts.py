@@ -44,7 +44,8 @@ class Contact:
 
     `friction_law` "sqrt" and "tanh" regularise friction over `stick_speed`: a load below the limit makes the contact creep.
     "stick" holds it by a tangential deflection of the size of `stick_displacement`, at rest; two rollers on each other and
-    the search for the rest state use the square-root law then.
+    the search for the rest state use the square-root law then. "none" has no friction, whatever the parts say, and
+    `damped = false` no indentation damping: what all sets of a scene lack is not computed.
     """
 
     stiffness: Any = number(default=200.0, unit="N/mm^exponent", doc="normal stiffness", bound="positive")
@@ -75,9 +76,10 @@ class Contact:
     )
     friction_law: str = word(
         default="sqrt",
-        doc="regularisation of friction: over a speed, or over a displacement",
-        choices=("sqrt", "tanh", "stick"),
+        doc="regularisation of friction: over a speed, or over a displacement; or no friction",
+        choices=("sqrt", "tanh", "stick", "none"),
     )
+    damped: bool = word(default=True, doc="whether indentation is damped", type=bool)
 
 
 @record

@@ -136,7 +136,7 @@ def at_rest(model: Model) -> Model:
     """The model without dampers, with shafts and guides standing still as at time 0."""
 
     def quiet(surface: Surface) -> Surface:
-        return replace(surface, damping=jnp.zeros_like(surface.damping))
+        return replace(surface, damping=None)
 
     def frozen(path: Path) -> Path:
         at = {k: interpolate(path.times, getattr(path, k), jnp.zeros(()))[0][None] for k in ("x", "y", "angle")}

@@ -34,7 +34,7 @@ def of_pairs(
     if grip is None:
         return None
     n_features, n = model.layout.tail.shape[0], kept.n_circles
-    others = kept.surface.friction.shape[0] - n
+    others = kept.surface.stiffness.shape[0] - n
     on_circles, on_faces = jnp.split(grip, [model.grips[0]])
     rows = []
     if n:

@@ -89,15 +89,6 @@ def _each(section: str, **changes: Any) -> Callable[[Given], Given]:
     return change
 
 
-def _both(*changes: Callable[[Given], Given]) -> Callable[[Given], Given]:
-    def change(given: Given) -> Given:
-        for one in changes:
-            given = one(given)
-        return given
-
-    return change
-
-
 def _fixed_pinches(given: Given) -> Given:
     """Movable rollers on fixed shafts; contacts between rollers go with them."""
     scene, observers = given
@@ -139,8 +130,8 @@ FEATURES: dict[str, Callable[[Given], Given]] = {
     "tanh friction law": _each("contacts", friction_law="sqrt"),
     "uneven exponents": _each("contacts", exponent=1.0, damping_exponent=1.0),
     "gravity": lambda given: (replace(given[0], gravity=(0.0, 0.0)), given[1]),
-    "friction": _both(_each("rollers", friction=0.0), _each("guides", friction=0.0)),
-    "contact damping": _each("contacts", damping=0.0),
+    "friction": _each("contacts", friction_law="none"),
+    "contact damping": _each("contacts", damped=False),
     "structural damping": _each("sheets", structural_damping=0.0),
     **{f"observing {name}": _unseen(name) for name in OBSERVERS},
     "observing anything": lambda given: (given[0], ()),

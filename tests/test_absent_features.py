@@ -1,0 +1,69 @@
+"""A scene costs only what it contains: what no contact set has is not computed, and the run is that of zeros."""
+
+import jax
+import numpy as np
+import pytest
+
+import diffeed
+from diffeed.bench.jaxprs import count_equations
+from diffeed.parts import normalise
+from diffeed.records import replace
+
+SCENE = normalise(replace(diffeed.load_scene("jam_layout"), initial="given"))
+RUN = {"duration": 0.02, "dt": 2e-4, "frames": 3}
+
+
+def with_sets(scene: diffeed.Scene, **changes) -> diffeed.Scene:
+    return normalise(replace(scene, contacts={k: replace(c, **changes) for k, c in scene.contacts.items()}))
+
+
+def with_friction(scene: diffeed.Scene, value: float) -> diffeed.Scene:
+    parts = {s: {k: replace(p, friction=value) for k, p in getattr(scene, s).items()} for s in ("rollers", "guides")}
+    return normalise(replace(scene, **parts))
+
+
+def nodes(scene: diffeed.Scene) -> np.ndarray:
+    run = diffeed.simulate(scene, **RUN)
+    assert run.ok, run.failure.describe()
+    return np.asarray(next(iter(run.sheets.values())).nodes)
+
+
+def equations(scene: diffeed.Scene) -> int:
+    return count_equations(lambda s: diffeed.simulate(s, **RUN), scene)
+
+
+CASES = {
+    "friction": (with_sets(SCENE, friction_law="none"), with_friction(SCENE, 0.0)),
+    "damping": (with_sets(SCENE, damped=False), with_sets(SCENE, damping=0.0)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_absent_is_zero_and_costs_less(name):
+    absent, zero = CASES[name]
+    assert nodes(absent) == pytest.approx(nodes(zero), abs=1e-9)
+    assert np.max(np.abs(nodes(absent) - nodes(SCENE))) > 1e-6, "the feature must matter here"
+    assert equations(absent) < equations(zero) == equations(SCENE)
+
+
+def test_one_slick_set_among_others():
+    """Only the parts of that set lose their friction."""
+    slick = replace(SCENE.contacts["default"], friction_law="none")
+    guides = {k: replace(g, contact="slick") for k, g in SCENE.guides.items()}
+    mixed = normalise(replace(SCENE, contacts=SCENE.contacts | {"slick": slick}, guides=guides))
+    zeros = normalise(replace(SCENE, guides={k: replace(g, friction=0.0) for k, g in SCENE.guides.items()}))
+    assert nodes(mixed) == pytest.approx(nodes(zeros), abs=1e-9)
+
+
+def test_settling_and_derivatives_without_them():
+    scene = normalise(
+        replace(with_sets(diffeed.load_scene("jam_layout"), friction_law="none", damped=False), initial="settled")
+    )
+    assert np.isfinite(np.asarray(jax.jit(diffeed.settle)(scene).heading)).all()
+
+    def lead(scene: diffeed.Scene) -> jax.Array:
+        return next(iter(diffeed.simulate(replace(scene, initial="given"), **RUN).sheets.values())).nodes[-1, 0, 0]
+
+    slope = jax.jit(jax.grad(lead))(scene)
+    assert all(np.isfinite(np.asarray(v)).all() for v in jax.tree.leaves(slope))
+    assert float(np.abs(np.asarray(slope.contacts["default"].damping))) == 0.0
