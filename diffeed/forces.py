@@ -214,14 +214,14 @@ class Felt(NamedTuple):
 def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
     """Implicit parts of contacts: (h^2 K + h C), h times the secant of friction, F - h K v_n, and minus friction."""
     touch, h = pairs.touch, step.h
-    slick = touch.secant is None
-    f_t = None if slick else -touch.friction
+    f_t = None if touch.secant is None else -touch.friction
     if not step.implicit:
         zero = jnp.zeros_like(touch.force)
-        return Felt(zero, None if slick else zero, touch.force, f_t)
+        return Felt(zero, None if f_t is None else zero, touch.force, f_t)
     lagged = h * touch.stiffness
     a_n = h * (lagged if touch.damping is None else lagged + touch.damping)
-    return Felt(a_n, None if slick else h * touch.secant, touch.force - lagged * pairs.v_n, f_t)
+    a_t = None if touch.secant is None else h * touch.secant
+    return Felt(a_n, a_t, touch.force - lagged * pairs.v_n, f_t)
 
 
 def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:

@@ -55,15 +55,10 @@ def test_one_slick_set_among_others():
     assert nodes(mixed) == pytest.approx(nodes(zeros), abs=1e-9)
 
 
-def test_settling_and_derivatives_without_them():
-    scene = normalise(
-        replace(with_sets(diffeed.load_scene("jam_layout"), friction_law="none", damped=False), initial="settled")
-    )
-    assert np.isfinite(np.asarray(jax.jit(diffeed.settle)(scene).heading)).all()
-
+def test_derivatives_without_them():
     def lead(scene: diffeed.Scene) -> jax.Array:
-        return next(iter(diffeed.simulate(replace(scene, initial="given"), **RUN).sheets.values())).nodes[-1, 0, 0]
+        return next(iter(diffeed.simulate(scene, **RUN).sheets.values())).nodes[-1, 0, 0]
 
-    slope = jax.jit(jax.grad(lead))(scene)
+    slope = jax.jit(jax.grad(lead))(with_sets(SCENE, friction_law="none", damped=False))
     assert all(np.isfinite(np.asarray(v)).all() for v in jax.tree.leaves(slope))
     assert float(np.abs(np.asarray(slope.contacts["default"].damping))) == 0.0
