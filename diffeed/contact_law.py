@@ -53,9 +53,7 @@ class Touch(NamedTuple):
     stiffness: Array  # K = max(0, dF/dd), kg/s2
     damping: Array | None  # C = dF/dd', kg/s; None: no set is damped
     friction: Array  # kg mm/s2, along -t: mu F phi(v_t), or what the deflection holds
-    secant: (
-        Array | None
-    )  # None: no set has friction. By how much it grows with v_t, kg/s: mu F phi(v_t)/v_t, or that of the deflection
+    secant: Array | None  # by how much it grows with v_t, kg/s; None: no set has friction
 
 
 class Grip(NamedTuple):
