@@ -211,7 +211,7 @@ def test_a_pruned_search_finds_the_same_forces():
     at, world, touching = look(model, state)
     found = search(model, state, jnp.asarray(1e-3))
     assert bool(found.complete)
-    pruned = contacts(model, at, world, found.kept)
+    pruned = contacts(model, at, world, found.kept, None)
     for whole, part in zip(contact_on_bars(model, touching), contact_on_bars(model, pruned), strict=True):
         np.testing.assert_allclose(part, whole, atol=1e-12)
     assert float(contact_on_bars(model, touching)[0].min()) > 0
