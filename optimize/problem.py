@@ -131,9 +131,9 @@ def simulate(problem: Problem, scene: diffeed.Scene, duration: float | None = No
 
 
 def eased(scene: diffeed.Scene, factor: Any) -> diffeed.Scene:
-    """Smoothing lengths and stick speeds times a factor: rounder corners in the landscape, at a bias."""
+    """Smoothing lengths, stick speeds and displacements times a factor: rounder corners in the landscape, at a bias."""
     for name in scene.contacts:
-        for field in ("smoothing", "stick_speed"):
+        for field in ("smoothing", "stick_speed", "stick_displacement"):
             path = f"contacts.{name}.{field}"
             scene = diffeed.put(scene, path, diffeed.get(scene, path) * factor)
     return scene

@@ -20,12 +20,15 @@ SECOND_ORDER = {"extrapolated_euler", "midpoint"}
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Symmetries and transformations hold for every stepper; for these two they are asked of slowly: they are made of the
-    step of `linear_euler`, and each takes three to five times as long to compile."""
+    """Symmetries and transformations hold for every stepper, balances for every seed; of these two steppers they are asked
+    among the slow tests: they are made of the step of `linear_euler`, and take twice as long to compile."""
     for item in items:
         method = getattr(item, "callspec", None) and item.callspec.params.get("method")
+        if method not in SECOND_ORDER:
+            continue
         wide = item.path.stem in ("test_properties_symmetry", "test_properties_numerics") and "order" not in item.name
-        if wide and method in SECOND_ORDER:
+        again = item.path.stem == "test_properties_balance" and item.callspec.params.get("seed", 0) != 0
+        if wide or again:
             item.add_marker(pytest.mark.slow)
 
 

@@ -98,12 +98,13 @@ def test_derivative_of_a_free_fall_is_exact():
     def fallen(gravity):
         run = diffeed.simulate(
             replace(scene, gravity=jnp.stack([jnp.zeros(()), gravity])),
-            duration=0.01, frames=3, tolerance=1e-5, method="extrapolated_euler", most_steps=600,
+            duration=0.01, frames=3, tolerance=1e-3, method="extrapolated_euler", most_steps=600,
         )  # fmt: skip
-        return jnp.mean(run.sheets["paper"].nodes[-1, :, 1])
+        return jnp.mean(run.sheets["paper"].nodes[-1, :, 1]), run.ok
 
-    slope = float(jax.jit(jax.grad(fallen))(-9810.0))
-    assert slope == pytest.approx(0.5 * 0.01**2, rel=1e-6)
+    slope, ok = jax.jit(jax.grad(fallen, has_aux=True))(-9810.0)
+    assert ok
+    assert float(slope) == pytest.approx(0.5 * 0.01**2, rel=1e-6)
 
 
 def test_batch_equals_single_runs():

@@ -8,6 +8,7 @@ import pytest
 import diffeed
 from diffeed import measures
 from diffeed.model import build
+from diffeed.records import replace
 
 SCENE = diffeed.load_scene("film_feeder")
 
@@ -139,3 +140,24 @@ def test_gradients_at_four_times():
     assert verdicts["rollers.drive_1.radius", 1.0] == "useless"
     assert verdicts["guides.turn.radius", 0.4] == "flat"  # not reached yet
     assert 0.5 < found.horizon["rollers.drive_1.radius"] < 1.0
+
+
+@pytest.mark.slow
+def test_leaving_out_inertia_does_not_pay():
+    """Quasi-static feeding, by a thousandth of all masses at the same weight: the step may not be longer for it, since contact
+    must be resolved; and what inertia damps at short steps fails without it."""
+
+    def run(share: float, dt: float) -> tuple[bool, np.ndarray]:
+        light = {
+            name: replace(r, **{f: getattr(r, f) * share for f in ("mass", "inertia") if hasattr(r, f)})
+            for name, r in SCENE.rollers.items()
+        }
+        film = replace(SCENE.sheets["film"], density=SCENE.sheets["film"].density * share)
+        scene = replace(SCENE, sheets={"film": film}, rollers=light, gravity=jnp.asarray(SCENE.gravity) / share)
+        found = diffeed.simulate(scene, 0.4, dt, 41)
+        return bool(found.ok), np.asarray(found.sheets["film"].nodes[-1, 0])
+
+    _, converged = run(1.0, 2e-5)
+    errors = {share: float(np.linalg.norm(run(share, 2e-3)[1] - converged)) for share in (1.0, 1e-3)}
+    assert errors[1e-3] > 5.0 * errors[1.0]
+    assert not run(1e-3, 5e-4)[0]
