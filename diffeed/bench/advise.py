@@ -9,6 +9,8 @@ from diffeed.bench.records import BenchError, Front, Row
 from diffeed.bench.report import digits, resolved
 from diffeed.bench.settings import power
 
+LOOSE = 3e-3
+"""mm: above this tolerance derivatives through extrapolated steps are useless (measured on the film feeder)."""
 STEADY = 2.0
 """A margin of the wanted error over the error that counts as comfortable."""
 
@@ -83,6 +85,9 @@ def _judge(front: Front, row: Row, wanted: dict[str, float]) -> tuple[list[str],
         words, steady = _neighbours(front, row, measure)
         found.append(f"  {words}")
         sure &= steady
+    setting = row.setting
+    if setting.method == "extrapolated_euler" and (setting.tolerance or 0.0) > LOOSE:
+        found.append("not for gradients: at such a tolerance derivatives through extrapolated_euler grow without bound")
     return found, sure
 
 
