@@ -75,7 +75,7 @@ def search(model: Model, state: State, span: Array) -> Candidates:
         always = jnp.full((), jnp.inf)
         return Candidates(keep_all(model), always, always, x, y, state.travel)
     world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
-    reach = REACH + MARGIN * span * _fastest(model, state)
+    reach = REACH + MARGIN * span * _fastest(model, state, span)
     found, free = [], []
     families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
@@ -108,12 +108,13 @@ def _nearest(near: Closest, depth: Array | None, count: int, model: Model) -> tu
     return index[:, :count].T, -jnp.max(closest[:, count])
 
 
-def _fastest(model: Model, state: State) -> Array:
-    """Largest speed of any node, pinch, roller surface (it can set the sheet going) or guide's path, mm/s."""
+def _fastest(model: Model, state: State, span: Array) -> Array:
+    """Largest speed of any node, pinch, roller surface (now or after `span`: it can set the sheet going) or guide's path,
+    mm/s."""
     vx, vy = node_velocities(model, pose(model, state))
     speeds = [jnp.max(jnp.abs(vx) + jnp.abs(vy)), jnp.max(jnp.abs(state.travel_rate), initial=0.0)]
-    surface = jnp.abs(spins(model, state, state.time) * model.rollers.radius)
-    speeds.append(jnp.max(surface, initial=0.0))
+    surface = [jnp.abs(spins(model, state, time) * model.rollers.radius) for time in (state.time, state.time + span)]
+    speeds.append(jnp.max(jnp.maximum(*surface), initial=0.0))
     for path in model.paths.values():
         speeds.append(_path_speed(path))
     return lax.stop_gradient(sum(speeds[1:], speeds[0]))

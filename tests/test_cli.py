@@ -324,6 +324,22 @@ def test_results_are_not_overwritten_without_force(tmp_path):
     assert (tmp_path / "data.npz").read_text() == "precious"
 
 
+def test_steps_by_their_error(tmp_path):
+    """`--tolerance` reaches the run, says so in the summary, and is refused where it makes no sense."""
+    scene = tmp_path / "mini.toml"
+    scene.write_text(MINI)
+    done = invoke("run", str(scene), "--tolerance", "0.01", "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0, done.output
+    took = json.loads((tmp_path / "out" / "summary.json").read_text())["run"]
+    assert took["tolerance"] == 0.01
+    assert 0 < took["steps"] < 600
+    assert took["dt"] == pytest.approx(0.06 / took["steps"])
+    refused = invoke("run", str(scene), "--tolerance", "-1", "--method", "midpoint")
+    assert refused.exit_code == 2
+    assert "tolerance must be > 0 mm, but is -1.0" in refused.output
+    assert "with a tolerance, method must be one of linear_euler, extrapolated_euler, but is 'midpoint'" in refused.output
+
+
 def test_an_out_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "results").write_text("precious")
     done = invoke("run", "film_feeder", "--out", str(tmp_path / "results"))

@@ -105,7 +105,8 @@ def _skin(scene: Scene, base: Setting) -> Iterator[Setting]:
 
 
 def _friction(scene: Scene, base: Setting) -> Iterator[Setting]:
-    for choice in _choices(Contact, "friction_law"):
+    laws = [law for law in _choices(Contact, "friction_law") if law != "none"]  # that would be another machine
+    for choice in laws:
         changes = tuple(
             f"contacts.{name}.friction_law={choice}"
             for name, contact in sorted(scene.contacts.items())
