@@ -94,8 +94,7 @@ def run(control: Control, limits: Limits, scene: Scene, first: Progress) -> tupl
 def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
     limits, scene, first = given
     found = lax.stop_gradient(_find(control, limits, scene, first))
-    schedule, next_step = found.schedule, found.progress.next_step
-    return jax.jvp(functools.partial(_replay, control, schedule, next_step), (scene, first), moved[1:])
+    return jax.jvp(functools.partial(_replay, control, found.schedule, found.progress), (scene, first), moved[1:])
 
 
 def _find(control: Control, limits: Limits, scene: Scene, first: Progress) -> _Search:
@@ -111,8 +110,9 @@ def _find(control: Control, limits: Limits, scene: Scene, first: Progress) -> _S
         end = start + (carry.frame + 1).astype(dtype) * limits.frame
         span = jnp.minimum(end - carry.progress.state.time, BLOCK * carry.h)
         candidates, span = for_as_long_as_they_last(search(model, carry.progress.state, span), span)
-        until = jnp.minimum(carry.progress.state.time + span, end)
-        done = _attempts(control, limits, model, scene, carry, candidates, until, end)
+        until = carry.progress.state.time + span
+        until = jnp.where(until + _smallest(end) >= end, end, until)  # no stub is left over by rounding
+        done = _attempts(control, limits, model, scene, carry, candidates, until)
         progress = searched(model, candidates, done.progress)
         crowded = (span < _smallest(until)) & (progress.cause == 0)
         progress = progress._replace(
@@ -159,7 +159,6 @@ def _attempts(
     carry: _Search,
     candidates: Candidates,
     until: Array,
-    end: Array,
 ) -> _Block:
     """Attempts until the block's time is over or its steps are used up."""
 
@@ -226,9 +225,9 @@ def _error(model: Model, ways: Ways) -> Array:
 
 
 def _replay(
-    control: Control, schedule: Schedule, next_step: Array, scene: Scene, first: Progress
+    control: Control, schedule: Schedule, found: Progress, scene: Scene, first: Progress
 ) -> tuple[Progress, State, Array]:
-    """The same run with given steps: what a derivative goes through."""
+    """The same run with given steps: what a derivative goes through. Whether it failed is known already."""
     model = build(scene)
 
     def one_block(carry: Progress, lengths: Array) -> tuple[Progress, State]:
@@ -251,5 +250,5 @@ def _replay(
         return carry, carry.state
 
     last, states = lax.scan(one_block, first, schedule.lengths)
-    last = last._replace(next_step=next_step)
+    last = last._replace(cause=found.cause, failed_at=found.failed_at, next_step=found.next_step)
     return last, jax.tree.map(lambda v: v[schedule.ends], states), schedule.taken

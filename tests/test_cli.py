@@ -337,7 +337,9 @@ def test_steps_by_their_error(tmp_path):
     refused = invoke("run", str(scene), "--tolerance", "-1", "--method", "midpoint")
     assert refused.exit_code == 2
     assert "tolerance must be > 0 mm, but is -1.0" in refused.output
-    assert "with a tolerance, method must be one of linear_euler, extrapolated_euler, but is 'midpoint'" in refused.output
+    assert (
+        "with a tolerance, method must be one of linear_euler, extrapolated_euler, but is 'midpoint'" in refused.output
+    )
 
 
 def test_an_out_that_is_a_file_is_refused(tmp_path):

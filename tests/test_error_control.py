@@ -140,6 +140,23 @@ def test_running_out_of_steps_is_a_failure(rest):
     assert float(run.time[-1]) == float(run.failure.time), "a failed run stands still"
 
 
+def test_a_derivative_of_a_failed_run_says_so():
+    """The steps that are differentiated are those that were taken; that the run failed after them must not be lost."""
+    scene = free_sheet(np.random.default_rng(0))
+
+    def height(gravity):
+        changed = replace(scene, gravity=jnp.stack([jnp.zeros(()), gravity]))
+        run = diffeed.simulate(
+            changed, duration=0.01, frames=3, tolerance=1e-7, method="extrapolated_euler", most_steps=600
+        )
+        return jnp.mean(run.sheets["paper"].nodes[-1, :, 1]), (run.ok, run.failure.cause, run.failure.time)
+
+    _, (ok, cause, time) = jax.jit(jax.grad(height, has_aux=True))(-9810.0)
+    assert not ok
+    assert CAUSES[int(cause)].startswith("the tolerance asks for more steps")
+    assert 0.0 < float(time) < 0.01
+
+
 def test_a_scene_that_cannot_go_on_fails():
     scene = replace(free_sheet(np.random.default_rng(0)), gravity=jnp.array([0.0, -1e30]))
     run = diffeed.simulate(scene, duration=0.01, frames=3, tolerance=1e-3, most_steps=600)
