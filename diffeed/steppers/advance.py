@@ -1,11 +1,25 @@
-"""Positions from velocities: shared by the steppers."""
+"""Velocities from accelerations, positions from velocities: shared by the steppers."""
 
 from jax import Array
 
 from diffeed.bodies import spins
 from diffeed.model import Model
 from diffeed.records import replace
-from diffeed.state import State
+from diffeed.state import State, mean_per_sheet
+from diffeed.system import Solution
+
+
+def advance_velocities(model: Model, state: State, a: Solution, h: Array) -> State:
+    """Add h times the accelerations of bars and border to the velocities; positions and time stay."""
+    m, f = model.rollers.n_movable, model.rollers.n_free
+    return replace(
+        state,
+        vx=state.vx + h * mean_per_sheet(model.layout, a.x),
+        vy=state.vy + h * mean_per_sheet(model.layout, a.y),
+        rate=state.rate + h * a.w,
+        travel_rate=state.travel_rate + h * a.border[:m],
+        spin=state.spin + h * a.border[m : m + f],
+    )
 
 
 def advance_positions(model: Model, state: State, h: Array) -> State:

@@ -17,12 +17,13 @@ from diffeed.forces import Contacts, Step, assemble
 from diffeed.kinematics import Pose
 from diffeed.model import Model
 from diffeed.records import replace
-from diffeed.state import State, mean_per_sheet, spread
+from diffeed.state import State, spread
 from diffeed.steppers import linear_euler, runge_kutta
-from diffeed.steppers.advance import advance_positions
+from diffeed.steppers.advance import advance_positions, advance_velocities
 from diffeed.sums import from_mean
 from diffeed.system import System
 
+RATES = ("vx", "vy", "rate", "travel_rate", "spin")
 PASSES = 5
 """Corrections per step; the first guess is a half step of `linear_euler`."""
 
@@ -44,20 +45,13 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
     """One pass of Newton's method on the middle of the step."""
     slope, _ = runge_kutta.derivative(model, guess, half, kept)
-    missing = {
-        name: getattr(slope, name) - (getattr(guess, name) - getattr(start, name)) / half
-        for name in ("vx", "vy", "rate", "travel_rate", "spin")
-    }
+    missing = {name: getattr(slope, name) - (getattr(guess, name) - getattr(start, name)) / half for name in RATES}
     system, at, _ = assemble(model, guess, Step(half, True), kept)
     change = chain_solve.solve(_for_correction(model, system, at, missing), model.layout)
-    m, f = model.rollers.n_movable, model.rollers.n_free
+    faster = advance_velocities(model, guess, change, half)
     moving = replace(
         start,
-        vx=guess.vx + half * mean_per_sheet(model.layout, change.x),
-        vy=guess.vy + half * mean_per_sheet(model.layout, change.y),
-        rate=guess.rate + half * change.w,
-        travel_rate=guess.travel_rate + half * change.border[:m],
-        spin=guess.spin + half * change.border[m : m + f],
+        **{name: getattr(faster, name) for name in RATES},
         stretch=guess.stretch,
         grip=None if start.grip is None else start.grip + half * slope.grip,
     )
