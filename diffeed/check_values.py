@@ -146,7 +146,12 @@ def word_problem(path: str, value: Any, field: Field) -> str | None:
     choices, kind = field.metadata["choices"], field.metadata["type"]
     if kind is object or (_is_kind(value, kind) and (not choices or value in choices)):
         return None
-    named = {str: f"a word ({field.metadata['doc']})", int: "a whole number", float: "a plain number"}
+    named = {
+        str: f"a word ({field.metadata['doc']})",
+        int: "a whole number",
+        float: "a plain number",
+        bool: "true or false",
+    }
     wanted = quote(choices) if choices else named[kind]
     return (
         f"{path} is missing: it must be {wanted}" if value is None else f"{path} must be {wanted}, but is {show(value)}"

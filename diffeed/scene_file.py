@@ -202,7 +202,7 @@ def _value_text(value: Any, field: Field) -> str:
         return "{" + ", ".join(inner) + "}"
     if field.metadata["role"] == "number" or field.metadata["type"] is float:
         return _number_text(np.asarray(value))
-    return json.dumps(value) if isinstance(value, str) else str(int(value))
+    return json.dumps(value) if isinstance(value, (str, bool)) else str(int(value))
 
 
 def _number_text(value: np.ndarray) -> str:

@@ -21,14 +21,14 @@ SECOND_ORDER = {"extrapolated_euler", "midpoint"}
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Symmetries and transformations hold for every stepper, balances for every seed; of these two steppers they are asked
-    among the slow tests: they are made of the step of `linear_euler`, and take twice as long to compile."""
+    among the slow tests: they are made of the step of `linear_euler`, and take twice as long to compile. So is the largest
+    structure of the explicit one."""
     for item in items:
         method = getattr(item, "callspec", None) and item.callspec.params.get("method")
-        if method not in SECOND_ORDER:
-            continue
         wide = item.path.stem in ("test_properties_symmetry", "test_properties_numerics") and "order" not in item.name
-        again = item.path.stem == "test_properties_balance" and item.callspec.params.get("seed", 0) != 0
-        if wide or again:
+        again = item.path.stem == "test_properties_balance" and "seed" in item.callspec.params if method else False
+        explicit = method == "runge_kutta" and item.callspec.params.get("structure") == "guided"
+        if (method in SECOND_ORDER and (wide or again)) or (wide and explicit):
             item.add_marker(pytest.mark.slow)
 
 

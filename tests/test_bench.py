@@ -518,6 +518,7 @@ def run_command(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, timeout=300, cwd=ROOT, check=False)
 
 
+@pytest.mark.slow
 def test_from_a_scene_to_advice(tmp_path):
     scene, out = tmp_path / "tiny.toml", tmp_path / "out"
     scene.write_text(TINY)

@@ -140,6 +140,7 @@ def test_running_out_of_steps_is_a_failure(rest):
     assert float(run.time[-1]) == float(run.failure.time), "a failed run stands still"
 
 
+@pytest.mark.slow
 def test_a_derivative_of_a_failed_run_says_so():
     """The steps that are differentiated are those that were taken; that the run failed after them must not be lost."""
     scene = free_sheet(np.random.default_rng(0))
@@ -164,6 +165,7 @@ def test_a_scene_that_cannot_go_on_fails():
     assert "no step, however small" in run.failure.describe() or "speeds grew" in run.failure.describe()
 
 
+@pytest.mark.slow
 def test_pieces_are_one_run(rest):
     """`final` holds the next step to try, so that a run goes on as if it had not been cut."""
     whole = diffeed.simulate(FEEDER, tolerance=1e-3, initial=rest, **SHORT)

@@ -48,6 +48,7 @@ def test_risks_of_known_samples():
     assert not bool(_over_samples(problem(), broken).ok[0])
 
 
+@pytest.mark.slow
 def test_the_expected_objective_has_the_variance_in_it():
     """E (f + d - 4)^2 = (f - 4)^2 + Var d: the best preload is the same, its score is the scatter."""
     study = problem()

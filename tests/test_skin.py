@@ -266,6 +266,7 @@ def test_energy_is_accounted_for():
     assert abs(float(balance["numerical"])) < 0.15 * float(balance["work of drives"]), balance
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_samples():
     scenes = [diffeed.put(normalise(feeder()), "rollers.pinch.preload", v) for v in (2.0, 3.0)]
     batch = jax.vmap(

@@ -326,6 +326,7 @@ def slid(scene: Scene):
     return diffeed.simulate(scene, duration=0.06, dt=5e-4, frames=2).sheets["a"].nodes[-1, 0, 0]
 
 
+@pytest.mark.slow
 def test_gradients_and_batches():
     """Through slip and stop both modes and central differences agree; a batch is what each run is alone; and all numbers
     have finite derivatives, also before anything touches, and where it lies still."""
