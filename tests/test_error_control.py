@@ -71,7 +71,8 @@ def test_steps_are_short_in_the_impact_and_long_after_it(rest):
 @pytest.mark.slow
 @pytest.mark.parametrize("stepper", ESTIMATING)
 def test_derivative_is_that_of_the_steps_taken(stepper, rest):
-    """Both modes alike; and along the trend over ten micrometres of radius, which equal steps blur."""
+    """Both modes alike to rounding; and along the trend over ten micrometres of radius, as far as the steps resolve the start:
+    these 20 ms are all impact, so that the derivative is that of the trend to 5 %, and scatter a tenth of a micrometre."""
 
     def at(radius, tolerance=1e-3):
         changed = diffeed.put(FEEDER, RADIUS, radius)
@@ -83,8 +84,8 @@ def test_derivative_is_that_of_the_steps_taken(stepper, rest):
     sweep = np.linspace(-5e-3, 5e-3, 9)
     values = np.asarray(jax.jit(jax.vmap(at))(10.0 + sweep))
     trend = np.polyfit(sweep, values, 2)
-    assert forward == pytest.approx(trend[1], rel=0.02)
-    assert np.std(values - np.polyval(trend, sweep)) < 5e-5  # mm
+    assert forward == pytest.approx(trend[1], rel=0.05)
+    assert np.std(values - np.polyval(trend, sweep)) < 1e-4  # mm
     # A tolerance may be traced; the steps that it gives are held fixed.
     value, slope = jax.jit(lambda t: jax.jvp(lambda t: at(10.0, t), (t,), (jnp.ones(()),)))(1e-3)
     assert np.isfinite(value)
