@@ -55,6 +55,7 @@ def test_one_slick_set_among_others():
     assert nodes(mixed) == pytest.approx(nodes(zeros), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_without_them():
     def lead(scene: diffeed.Scene) -> jax.Array:
         return next(iter(diffeed.simulate(scene, **RUN).sheets.values())).nodes[-1, 0, 0]

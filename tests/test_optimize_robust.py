@@ -70,6 +70,7 @@ def test_draws_are_fixed_or_new_by_choice():
         problem(tolerances={"scatter": {"path": "rollers.pinch.preload", "sigma": -1}})
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_tail_is_that_of_differences():
     study = problem(robust={"samples": 8, "over": "cvar", "tail": 0.3})
     evaluator = Evaluator(study)
