@@ -15,13 +15,13 @@ from jax import Array, lax
 
 from diffeed.candidates import Candidates, for_as_long_as_they_last, search
 from diffeed.kinematics import node_velocities, nodes, pose
-from diffeed.model import Model, build
+from diffeed.model import Model
 from diffeed.parts import Scene
 from diffeed.progress import Progress, searched, taken
 from diffeed.records import replace
 from diffeed.state import State
-from diffeed.steppers import Stepper, extrapolated_euler
-from diffeed.steppers.extrapolated_euler import Ways, both_ways, two_halves
+from diffeed.steppers import ESTIMATING
+from diffeed.steppers.extrapolated_euler import Ways, both_ways
 from diffeed.trajectory import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 
 BLOCK = 8
@@ -29,7 +29,7 @@ BLOCK = 8
 SMALLEST = 1e-9
 """s: a step that must be shorter than this fails the run."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 2.0
-MEMORY = 1e-4
+HORIZON = 1e-4
 """s: an error in speed counts as the way it makes in this time: it is felt by all steps to come."""
 
 
@@ -84,22 +84,21 @@ def blocks(most_steps: int, frames: int) -> int:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def run(control: Control, limits: Limits, scene: Scene, first: Progress) -> tuple[Progress, State, Array]:
+def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> tuple[Progress, State, Array]:
     """From a start to the end: the last progress, the states at the frames after the first, and the number of steps."""
-    found = _find(control, limits, scene, first)
+    found = _find(control, limits, model, scene, first)
     return found.progress, found.states, found.schedule.taken
 
 
 @run.defjvp
 def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
-    limits, scene, first = given
-    found = lax.stop_gradient(_find(control, limits, scene, first))
-    return jax.jvp(functools.partial(_replay, control, found.schedule, found.progress), (scene, first), moved[1:])
+    found = lax.stop_gradient(_find(control, *given))
+    replay = functools.partial(_replay, control, found.schedule, found.progress)
+    return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative: steps are held fixed
 
 
-def _find(control: Control, limits: Limits, scene: Scene, first: Progress) -> _Search:
+def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> _Search:
     """Go through the run, choosing steps."""
-    model = build(scene)
     start = first.state.time
     n, dtype = control.frames, start.dtype
 
@@ -113,12 +112,7 @@ def _find(control: Control, limits: Limits, scene: Scene, first: Progress) -> _S
         until = carry.progress.state.time + span
         until = jnp.where(until + _smallest(end) >= end, end, until)  # no stub is left over by rounding
         done = _attempts(control, limits, model, scene, carry, candidates, until)
-        progress = searched(model, candidates, done.progress)
-        crowded = (span < _smallest(until)) & (progress.cause == 0)
-        progress = progress._replace(
-            cause=jnp.where(crowded, TOO_MANY_NEAR, progress.cause).astype(jnp.int32),
-            failed_at=jnp.where(crowded, progress.state.time, progress.failed_at),
-        )
+        progress = _failed(searched(model, candidates, done.progress), span < _smallest(until), TOO_MANY_NEAR)
         reached = (progress.state.time >= end) | (progress.cause > 0)
         schedule = Schedule(
             carry.schedule.lengths.at[carry.block].set(done.lengths),
@@ -131,24 +125,33 @@ def _find(control: Control, limits: Limits, scene: Scene, first: Progress) -> _S
     empty = Schedule(jnp.zeros((control.blocks, BLOCK), dtype), jnp.zeros((n,), jnp.int32), jnp.zeros((), jnp.int32))
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (n, *v.shape)), first.state)
     zero = jnp.zeros((), jnp.int32)
-    last = lax.while_loop(
-        going, one_block, _Search(first, jnp.minimum(first.next_step, limits.longest), zero, zero, empty, states)
+    begun = _Search(first, jnp.minimum(first.next_step, limits.longest), zero, zero, empty, states)
+    last = lax.while_loop(going, one_block, begun)
+    progress = _failed(last.progress, last.frame < n, OUT_OF_STEPS)
+    return _stand_still(last._replace(progress=progress._replace(next_step=last.h)))
+
+
+def _failed(progress: Progress, failed: Array, cause: int) -> Progress:
+    """A failure here and now, if none came before."""
+    new = failed & (progress.cause == 0)
+    return progress._replace(
+        cause=jnp.where(new, cause, progress.cause).astype(jnp.int32),
+        failed_at=jnp.where(new, progress.state.time, progress.failed_at),
     )
-    # A failed run stands still: its last state fills the frames that it did not reach.
-    missing = jnp.arange(n, dtype=jnp.int32) >= last.frame
-    ends = jnp.where(missing, jnp.maximum(last.block - 1, 0), last.schedule.ends)
-    states = jax.tree.map(
-        lambda all, one: jnp.where(missing.reshape(-1, *[1] * one.ndim), one[None], all),
-        last.states,
-        last.progress.state,
+
+
+def _stand_still(last: _Search) -> _Search:
+    """A failed run stands still: its last state fills the frames that it did not reach."""
+    ends = last.schedule.ends
+    missing = jnp.arange(ends.shape[0], dtype=jnp.int32) >= last.frame
+
+    def filled(all: Array, one: Array) -> Array:
+        return jnp.where(missing.reshape(-1, *[1] * one.ndim), one[None], all)
+
+    return last._replace(
+        states=jax.tree.map(filled, last.states, last.progress.state),
+        schedule=last.schedule._replace(ends=jnp.where(missing, jnp.maximum(last.block - 1, 0), ends)),
     )
-    short = (last.frame < n) & (last.progress.cause == 0)
-    progress = last.progress._replace(
-        cause=jnp.where(short, OUT_OF_STEPS, last.progress.cause).astype(jnp.int32),
-        failed_at=jnp.where(short, last.progress.state.time, last.progress.failed_at),
-        next_step=last.h,
-    )
-    return last._replace(progress=progress, states=states, schedule=last.schedule._replace(ends=ends))
 
 
 def _attempts(
@@ -161,36 +164,28 @@ def _attempts(
     until: Array,
 ) -> _Block:
     """Attempts until the block's time is over or its steps are used up."""
+    chosen = ESTIMATING[control.method].chosen
 
     def going(block: _Block) -> Array:
         progress = block.progress
         return (block.accepted < BLOCK) & (progress.state.time < until) & (progress.cause == 0)
 
     def attempt(block: _Block) -> _Block:
-        time = block.progress.state.time
+        before = block.progress
+        time = before.state.time
         left = until - time
         # Two equal steps rather than a long one and a stub.
         h = jnp.where(block.h >= left, left, jnp.minimum(block.h, 0.5 * left))
-        ways = both_ways(model, block.progress.state, h, candidates.kept)
+        ways = both_ways(model, before.state, h, candidates.kept)
         error = _error(model, ways)
-        small = h <= _smallest(time)
-        good = error <= limits.tolerance
-        arrival = jnp.where(h >= left, until, time + h)
-        after = replace(_kept_way(control.method, ways), time=arrival)
-        then = taken(model, scene, block.progress, after, ways.touching, h, candidates.kept, control.observe)
+        after = replace(chosen(ways), time=jnp.where(h >= left, until, time + h))
+        then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe)
         # A step that fails is tried again shorter, as long as that is possible.
-        good = good & (then.cause == 0)
-        stuck = ~good & small
-        cause = jnp.where(then.cause > 0, then.cause, TOO_SMALL).astype(jnp.int32)
-        failed = block.progress._replace(cause=cause, failed_at=time)
-        progress = jax.tree.map(
-            lambda a, b, c: jnp.where(good, a, jnp.where(stuck, b, c)), then, failed, block.progress
-        )
-        factor = SAFETY * jnp.sqrt(limits.tolerance / jnp.maximum(error, 1e-6 * limits.tolerance))
-        factor = jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, GROW), SHRINK)
-        factor = jnp.where(good, factor, jnp.minimum(factor, 0.5))
-        wanted = jnp.where(good, jnp.maximum(h * factor, jnp.where(factor >= 1.0, block.h, 0.0)), h * factor)
-        wanted = jnp.clip(wanted, _smallest(time), limits.longest)
+        good = (error <= limits.tolerance) & (then.cause == 0)
+        stuck = _failed(before, h <= _smallest(time), TOO_SMALL)
+        stuck = stuck._replace(cause=jnp.where((stuck.cause > 0) & (then.cause > 0), then.cause, stuck.cause))
+        progress = jax.tree.map(lambda a, b: jnp.where(good, a, b), then, stuck)
+        wanted = jnp.clip(_next(h, block.h, error, good, limits.tolerance), _smallest(time), limits.longest)
         lengths = jnp.where(good, block.lengths.at[block.accepted].set(h), block.lengths)
         return _Block(progress, wanted, block.accepted + good.astype(jnp.int32), lengths)
 
@@ -198,37 +193,35 @@ def _attempts(
     return lax.while_loop(going, attempt, _Block(carry.progress, carry.h, jnp.zeros((), jnp.int32), none))
 
 
+def _next(h: Array, planned: Array, error: Array, good: Array, tolerance: Array) -> Array:
+    """s: the next attempt after one of length h, shortened from `planned` by the end of a block. The error goes as h^2."""
+    factor = SAFETY * jnp.sqrt(tolerance / jnp.maximum(error, 1e-6 * tolerance))
+    factor = jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, GROW), SHRINK)
+    grown = jnp.maximum(h * factor, jnp.where(factor >= 1.0, planned, 0.0))
+    return jnp.where(good, grown, h * jnp.minimum(factor, 0.5))
+
+
 def _smallest(time: Array) -> Array:
     """s: below this a step fails the run: time itself would hardly move on."""
     return jnp.maximum(SMALLEST, 8.0 * jnp.finfo(time.dtype).eps * time)
 
 
-def _kept_way(method: str, ways: Ways) -> State:
-    """What is gone on with: two halves, or the combination of order two."""
-    return ways.halves if method == "linear_euler" else ways.best()
-
-
-GONE_ON_WITH: dict[str, Stepper] = {"linear_euler": two_halves, "extrapolated_euler": extrapolated_euler.step}
-"""The same without the estimate, by the method's name."""
-
-
 def _error(model: Model, ways: Ways) -> Array:
-    """mm: largest difference of any node or movable roller, or of their speeds over `MEMORY`. Not a number where a way failed."""
+    """mm: largest difference of any node or movable roller, or of their speeds over `HORIZON`. NaN where a way failed."""
     found = []
     for state in (ways.whole, ways.halves):
         at = pose(model, state)
         place = jnp.concatenate([*nodes(model, at), state.travel])
         speed = jnp.concatenate([*node_velocities(model, at), state.travel_rate])
-        found.append((place, speed))
-    (place, speed), (place_2, speed_2) = found
-    return jnp.maximum(jnp.max(jnp.abs(place - place_2)), MEMORY * jnp.max(jnp.abs(speed - speed_2)))
+        found.append(jnp.stack([place, HORIZON * speed]))
+    return jnp.max(jnp.abs(found[0] - found[1]))
 
 
 def _replay(
-    control: Control, schedule: Schedule, found: Progress, scene: Scene, first: Progress
+    control: Control, schedule: Schedule, found: Progress, model: Model, scene: Scene, first: Progress
 ) -> tuple[Progress, State, Array]:
     """The same run with given steps: what a derivative goes through. Whether it failed is known already."""
-    model = build(scene)
+    stepper = ESTIMATING[control.method].step
 
     def one_block(carry: Progress, lengths: Array) -> tuple[Progress, State]:
         def work(carry: Progress) -> Progress:
@@ -238,7 +231,7 @@ def _replay(
             @functools.partial(jax.checkpoint, prevent_cse=False)
             def one_step(carry: Progress, h: Array) -> tuple[Progress, None]:
                 def go(carry: Progress) -> Progress:
-                    after, touching = GONE_ON_WITH[control.method](model, carry.state, h, candidates.kept)
+                    after, touching = stepper(model, carry.state, h, candidates.kept)
                     return taken(model, scene, carry, after, touching, h, candidates.kept, control.observe)
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None

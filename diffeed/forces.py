@@ -245,25 +245,20 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
 
 def _entries(pairs: Pairs, lever: Lever, pair: Felt, step: Step) -> list[Array]:
     """What pairs add to one of their bars: force, and if implicit matrix and geometric stiffness; (bodies, features) each."""
-    e, nx, ny, rn, rt = jax.tree.map(lambda v: shared(lever, v), pair), pairs.nx, pairs.ny, lever.rn, lever.rt
-    turning = [step.h * shared(lever, pairs.turning)] if step.implicit else []
-    if e.a_t is None or e.f_t is None:
-        entries = [e.f_n * nx, e.f_n * ny, e.f_n * rn]
-        if step.implicit:
-            ax, ay = e.a_n * nx, e.a_n * ny
-            entries += [ax * nx, ax * ny, ay * ny, ax * rn, ay * rn, e.a_n * rn * rn]
-        return entries + turning
-    entries = [e.f_n * nx - e.f_t * ny, e.f_n * ny + e.f_t * nx, e.f_n * rn + e.f_t * rt]
-    if step.implicit:
-        entries += [
-            e.a_n * nx * nx + e.a_t * ny * ny,
-            (e.a_n - e.a_t) * nx * ny,
-            e.a_n * ny * ny + e.a_t * nx * nx,
-            e.a_n * nx * rn - e.a_t * ny * rt,
-            e.a_n * ny * rn + e.a_t * nx * rt,
-            e.a_n * rn * rn + e.a_t * rt * rt,
-        ]
-    return entries + turning
+    e, nx, ny = jax.tree.map(lambda v: shared(lever, v), pair), pairs.nx, pairs.ny
+    entries = _along(e.f_n, e.a_n, nx, ny, lever.rn, step)
+    if e.a_t is not None and e.f_t is not None:
+        entries = [n + t for n, t in zip(entries, _along(e.f_t, e.a_t, -ny, nx, lever.rt, step), strict=True)]
+    return entries + ([step.h * shared(lever, pairs.turning)] if step.implicit else [])
+
+
+def _along(f: Array, a: Array, x: Array, y: Array, r: Array, step: Step) -> list[Array]:
+    """A force f along g = (x, y, r) of a bar, and if implicit the entries xx, xy, yy, xw, yw, ww of a g g'."""
+    force = [f * x, f * y, f * r]
+    if not step.implicit:
+        return force
+    ax, ay = a * x, a * y
+    return [*force, ax * x, ax * y, ay * y, ax * r, ay * r, a * r * r]
 
 
 # --- rollers and clamps -----------------------------------------------------------------------------------------------

@@ -79,11 +79,11 @@ def gradient_plan(
     bars = sum(s.bars for s in scene.sheets.values())
     pairs = (bars + len(scene.sheets)) * min(24, len(scene.rollers) + 3 * len(scene.guides))
     step = 8 * (FIELDS * pairs + 3 * (bars + 2 * len(scene.rollers)) ** 2)
-    blocks = (counts.frames - 1) * counts.blocks
-    short = counts.total <= MANY
-    stored = counts.total if short else blocks
+    searches = (counts.frames - 1) * counts.blocks
+    short = tolerance is not None or counts.total <= MANY
+    stored = counts.total if short else searches
     # A block computed again holds the states of its steps; each search keeps its candidates.
-    memory = stored * state + (blocks if short else 1) * 8 * KEPT * pairs + counts.steps * state + step
+    memory = stored * state + (searches if short else 1) * 8 * KEPT * pairs + counts.steps * state + step
     if chosen == "forward":
         stored, memory = 0, (1 + count) * (state + step)
     return GradientPlan(chosen, count, counts.total, stored, memory)

@@ -82,15 +82,15 @@ def _writers(scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> d
     writers: dict[str, Callable[[Path], Any]] = {
         "scene.toml": lambda path: save_scene(scene, path),
         "data.npz": lambda path: np.savez(path, **tracks(trajectory)),  # type: ignore[arg-type]
-        "machine.png": _picture(lambda: plot.machine(scene, trajectory)),
+        "machine.png": picture(lambda: plot.machine(scene, trajectory)),
     }
     if len(np.asarray(trajectory.time)) > 1:
         title = summary["run"]["scene"]
         writers["player.html"] = lambda path: player.write_player(path, scene, trajectory, title=title)
-        writers["paths.png"] = _picture(lambda: plot.paths(scene, trajectory, bars=_first_bars(scene)))
+        writers["paths.png"] = picture(lambda: plot.paths(scene, trajectory, bars=_first_bars(scene)))
         if scene.rollers:
-            writers["slip.png"] = _picture(lambda: plot.slip(scene, trajectory))
-            writers["nip_forces.png"] = _picture(lambda: plot.nip_forces(scene, trajectory))
+            writers["slip.png"] = picture(lambda: plot.slip(scene, trajectory))
+            writers["nip_forces.png"] = picture(lambda: plot.nip_forces(scene, trajectory))
     writers[SUMMARY] = lambda path: path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", "utf-8")
     return writers
 
@@ -99,7 +99,8 @@ def _first_bars(scene: Scene) -> tuple[int, ...]:
     return tuple(range(min(3, scene.sheets[min(scene.sheets)].bars)))
 
 
-def _picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
+def picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
+    """What writes a figure to a path."""
     from diffeed import plot_style
 
     return lambda path: plot_style.save(path, draw)

@@ -5,7 +5,7 @@ An index counts within the field, so that in a batch of scenes `center[1]` is on
 
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 import jax
@@ -62,6 +62,13 @@ def unit(scene: Scene, path: str) -> str:
 def numbers(scene: Any) -> dict[str, Any]:
     """Path and value of every number that is given, entry by entry, in the order of the records."""
     return dict(_walk("", scene))
+
+
+def assign(scene: T, assignments: Iterable[str]) -> T:
+    """A copy of a scene with values changed as PATH=VALUE says, one after the other. Raises PathError."""
+    for text in assignments:
+        scene = put(scene, *parse_assignment(text))
+    return scene
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:

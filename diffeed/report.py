@@ -2,9 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from diffeed import measures
+from diffeed.files import plain
 from diffeed.parts import Scene
 from diffeed.records import fields
 from diffeed.terminal import plain_table
@@ -28,7 +27,7 @@ PRESSED = "Negative: pressed into the part."
 
 def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
     """Verdict and measures of a run as words, numbers and None (not a number, or never)."""
-    return _plain(
+    return plain(
         {
             "verdict": measures.verdict(scene, trajectory)._asdict(),
             "rollers": _rollers(scene, trajectory),
@@ -85,15 +84,6 @@ def _gaps(trajectory: Trajectory) -> dict[str, Any]:
     gaps = trajectory.observed["gaps"]
     found = {f"{section}.{name}": value.gap for section in sorted(gaps) for name, value in gaps[section].items()}
     return dict(sorted(found.items(), key=lambda item: float(item[1])))
-
-
-def _plain(value: Any) -> Any:
-    """JSON's own types; a number that is not finite becomes None."""
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if value is None or isinstance(value, (str, bool, int)):
-        return value
-    return float(value) if np.isfinite(value) else None
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------

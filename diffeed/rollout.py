@@ -151,7 +151,7 @@ def _simulate_to(
     model = build(scene)
     limits = error_control.Limits(*(jnp.asarray(v, scene.gravity.dtype) for v in limits))
     first = begin(model, scene, initial, control.observe)
-    last, states, count = error_control.run(control, limits, scene, first)
+    last, states, count = error_control.run(control, limits, model, scene, first)
     mean = control.frames * limits.frame / jnp.maximum(count, 1).astype(limits.frame.dtype)
     return _trajectory(model, scene, first, last, states, mean, count, control.observe)
 

@@ -4,7 +4,6 @@ import importlib.resources
 import json
 import os
 import tomllib
-import uuid
 from collections.abc import Iterator
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from diffeed.check_records import SceneError, check_records, checked
 from diffeed.check_values import VARYING, Field, quote, show
+from diffeed.files import write_whole
 from diffeed.names import hint, nearest
 from diffeed.parts import SECTIONS, Profile, Scene, normalise
 from diffeed.records import REQUIRED, fields
@@ -48,7 +48,7 @@ def shipped_scenes() -> dict[str, str]:
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all."""
-    _write_whole(os.path.realpath(path), scene_text(scene))
+    write_whole(path, scene_text(scene))
 
 
 def scene_text(scene: Scene) -> str:
@@ -209,15 +209,3 @@ def _number_text(value: np.ndarray) -> str:
     if value.ndim:
         return "[" + ", ".join(_number_text(v) for v in value) + "]"
     return repr(float(str(value)))  # str: the shortest text of its own precision, so that float32 stays short
-
-
-def _write_whole(path: str, text: str) -> None:
-    draft = os.path.join(os.path.dirname(path), f".{uuid.uuid4().hex}.tmp")
-    try:
-        with open(draft, "x", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(draft, path)
-    finally:
-        Path(draft).unlink(missing_ok=True)

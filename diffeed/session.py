@@ -51,14 +51,11 @@ def load_sound(
     tolerance: float | None = None,
 ) -> "Scene":
     from diffeed.check_records import SceneError, checked
-    from diffeed.paths import PathError, parse_assignment, put
+    from diffeed.paths import PathError, assign
     from diffeed.records import replace
 
     with refusing(SceneError, PathError):
-        scene = diffeed.load_scene(where)
-        for text in assignments:
-            scene = put(scene, *parse_assignment(text))
-        scene = replace(scene, **changes)
+        scene = replace(assign(diffeed.load_scene(where), assignments), **changes)
         problems = patiently(lambda: diffeed.check(scene, dt, method, tolerance))
         if problems:
             raise SceneError(problems, where)

@@ -65,13 +65,17 @@ THREADS_PER_DEVICE = 8
 with two devices on two cores, jaxlib 0.10)."""
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def use_all_cores() -> None:
     """One JAX device for each processor core that this process may use: to be called before anything is computed."""
     import jax
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    os.environ.setdefault("NPROC", str(THREADS_PER_DEVICE * cores))
-    jax.config.update("jax_num_cpu_devices", cores)
+    os.environ.setdefault("NPROC", str(THREADS_PER_DEVICE * cores()))
+    jax.config.update("jax_num_cpu_devices", cores())
 
 
 def safe_devices(devices: list[Any]) -> list[Any]:

@@ -14,9 +14,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from diffeed.files import plain, write_whole
 from optimize.descent import Line, Progress, begin
 from optimize.evaluate import Counts
-from optimize.files import plain, write_whole
 from optimize.problem import Problem
 
 HISTORY, STATE = "history.jsonl", "state.npz"

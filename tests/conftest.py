@@ -24,11 +24,12 @@ def pytest_collection_modifyitems(items):
     among the slow tests: they are made of the step of `linear_euler`, and take twice as long to compile. So is the largest
     structure of the explicit one."""
     for item in items:
-        method = getattr(item, "callspec", None) and item.callspec.params.get("method")
+        given = item.callspec.params if hasattr(item, "callspec") else {}
         wide = item.path.stem in ("test_properties_symmetry", "test_properties_numerics") and "order" not in item.name
-        again = item.path.stem == "test_properties_balance" and "seed" in item.callspec.params if method else False
-        explicit = method == "runge_kutta" and item.callspec.params.get("structure") == "guided"
-        if (method in SECOND_ORDER and (wide or again)) or (wide and explicit):
+        again = item.path.stem == "test_properties_balance" and "seed" in given
+        second = given.get("method") in SECOND_ORDER and (wide or again)
+        explicit = given.get("method") == "runge_kutta" and given.get("structure") == "guided" and wide
+        if second or explicit:
             item.add_marker(pytest.mark.slow)
 
 

@@ -32,6 +32,7 @@ from diffeed.bench import (
 from diffeed.bench import front as fronts
 from diffeed.bench.outcome import Outcome, differences
 from diffeed.bench.settings import Setting
+from diffeed.paths import assign
 
 ROOT = Path(__file__).parent.parent
 TINY = """
@@ -204,8 +205,8 @@ def test_every_method_is_swept_at_every_step():
 def test_knobs_change_one_thing_each_and_say_what(tiny):
     found = {s.label: s for s in settings.knobs(tiny, STEPS)}
     assert found["half the bars"].changes == ("sheets.strip.bars=2",)
-    assert settings.apply(tiny, found["twice the bars"]).sheets["strip"].bars == 8
-    assert settings.apply(tiny, found["friction tanh"]).contacts["default"].friction_law == "tanh"
+    assert assign(tiny, found["twice the bars"].changes).sheets["strip"].bars == 8
+    assert assign(tiny, found["friction tanh"].changes).contacts["default"].friction_law == "tanh"
     assert found["float32"].precision == "float32"
     assert {s.dt for s in found.values()} == {5e-4}
     assert not any(s.numerical for s in found.values())

@@ -1,7 +1,7 @@
 """What each feature of a scene costs: a scene that has them all, and the same with one taken away.
 
-Some features are kinds, and cost nothing where they are absent; some are values (gravity, a coefficient of friction), and
-a program with a zero for them is as long.
+Most features are kinds, and cost nothing where they are absent; some are values (gravity, structural damping), and a
+program with a zero for them is as long.
 """
 
 from collections.abc import Callable

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.records import BenchError, Front, read_front
-from diffeed.outputs import write_all
+from diffeed.files import plain
+from diffeed.outputs import picture, write_all
 
 DATA = "bench.json"
 FRONT = ("front.png", "bench.csv", DATA)
@@ -23,7 +22,7 @@ def write_front(draft: Path, folder: Path, front: Front) -> list[str]:
     from diffeed.bench import charts
 
     writers = {
-        "front.png": _picture(lambda: charts.front(front)),
+        "front.png": picture(lambda: charts.front(front)),
         "bench.csv": lambda path: path.write_text(front_table(front), "utf-8", newline=""),
         DATA: _data(front.plain()),
     }
@@ -32,7 +31,7 @@ def write_front(draft: Path, folder: Path, front: Front) -> list[str]:
 
 def write_rows(draft: Path, folder: Path, name: str, data: dict[str, Any], draw: Callable[[], Any]) -> list[str]:
     """Picture and data of any other benchmark: NAME.png and NAME.json."""
-    writers = {f"{name}.png": _picture(draw), f"{name}.json": _data(data)}
+    writers = {f"{name}.png": picture(draw), f"{name}.json": _data(data)}
     return write_all(draft, folder, writers, names_of(name))
 
 
@@ -74,22 +73,5 @@ def front_table(front: Front) -> str:
     return stream.getvalue()
 
 
-def plain(value: Any) -> Any:
-    """JSON's own types; a number that is not finite becomes None."""
-    if isinstance(value, dict):
-        return {k: plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
-
-
 def _data(data: dict[str, Any]) -> Callable[[Path], Any]:
     return lambda path: path.write_text(json.dumps(plain(data), indent=1, allow_nan=False) + "\n", "utf-8")
-
-
-def _picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
-    from diffeed import plot_style
-
-    return lambda path: plot_style.save(path, draw)

@@ -11,10 +11,11 @@ import numpy as np
 from diffeed.bench.machine import machine
 from diffeed.bench.outcome import OBSERVE, Outcome, differences, outcome
 from diffeed.bench.records import Front, Reference, Row
-from diffeed.bench.settings import STEPS, Setting, apply, knobs, power, sweep
+from diffeed.bench.settings import STEPS, Setting, knobs, power, sweep
 from diffeed.bench.timing import precision, timed
 from diffeed.examine import check, prepare
 from diffeed.parts import Scene, SinglePrecision, normalise
+from diffeed.paths import assign
 from diffeed.rollout import simulate
 from diffeed.scene_file import scene_text
 from diffeed.steppers import DEFAULT, EXPLICIT
@@ -89,13 +90,13 @@ def run_setting(scene: Scene, setting: Setting, frames: int, fewest: int = 3) ->
     try:
         with precision(setting.precision), warnings.catch_warnings():
             warnings.simplefilter("ignore", SinglePrecision)
-            return _run(normalise(apply(scene, setting)), setting, frames, fewest)
+            return _run(normalise(assign(scene, setting.changes)), setting, frames, fewest)
     except Exception as error:  # one setting that the machine or the compiler cannot bear must not end the others
         return Finished(Row(setting, "failed", _one_line(error)), None)
 
 
 def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
-    problems = check(scene, setting.dt, setting.method)
+    problems = check(scene, setting.dt, setting.method, setting.tolerance)
     if problems:
         return Finished(Row(setting, "not run", "; ".join(problems)), None)
     state = prepare(scene).state
@@ -111,17 +112,9 @@ def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
         made.compile,
         made.run,
         made.repeats,
-        _count_steps(made.value, setting, scene.duration),
+        int(made.value.steps),
     )
     return Finished(row, outcome(scene, made.value) if row.ok else None)
-
-
-def _count_steps(trajectory: Any, setting: Setting, duration: float) -> int | None:
-    """Steps taken; error-controlled runs count them themselves, if at all."""
-    counted = getattr(trajectory, "steps", None)
-    if counted is not None and np.ndim(counted) == 0:
-        return int(counted)
-    return round(duration / float(trajectory.dt)) if setting.tolerance is None else None
 
 
 def compared(finished: Finished, reference: Outcome | None) -> Row:

@@ -11,12 +11,12 @@ def machine() -> dict[str, Any]:
     import jax
 
     import diffeed
+    from diffeed import tuning
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     device = jax.devices()[0]
     return {
         "processor": _processor(),
-        "cores": cores,
+        "cores": tuning.cores(),
         "device": f"{device.platform}: {device.device_kind}",
         "jax": jax.__version__,
         "diffeed": diffeed.__version__,

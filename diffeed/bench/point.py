@@ -12,7 +12,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from diffeed.bench.batch import batch
+from diffeed.bench.timing import timed
+from diffeed.bench.transport import transport
 from diffeed.parts import Scene
+from diffeed.rollout import simulate
+from diffeed.session import set_up
 
 DT = 1e-4
 LONG_DT, FRAMES = 5e-4, 11
@@ -47,59 +52,26 @@ def _steps(make: Callable[[int], Scene]) -> Callable[[float], dict[str, Any]]:
 
 
 def _run(scene: Scene, dt: float, frames: int, fewest: int) -> dict[str, Any]:
-    from diffeed.bench.timing import timed
-    from diffeed.rollout import simulate
-
     made = timed(lambda s: simulate(s, dt=dt, frames=frames), scene, fewest=fewest)
-    steps = round(scene.duration / float(made.value.dt))
-    row: dict[str, Any] = {"compile_seconds": made.compile, "us_per_step": 1e6 * made.run / steps}
+    row: dict[str, Any] = {"compile_seconds": made.compile, "us_per_step": 1e6 * made.run / int(made.value.steps)}
     return row if bool(made.value.ok) else row | {"reason": f"the run failed {made.value.failure.describe()}"}
 
 
-def _bars(n: int) -> Scene:
-    from diffeed.bench.transport import transport
-
-    return transport(bars=n)
-
-
-def _guides(n: int) -> Scene:
-    from diffeed.bench.transport import transport
-
-    return transport(guides=n)
-
-
-def _driven(n: int) -> Scene:
-    from diffeed.bench.transport import transport
-
-    return transport(driven=n)
-
-
-def _nips(n: int) -> Scene:
-    from diffeed.bench.transport import transport
-
-    return transport(driven=4, nips=max(1, (n - 4) // 2))
-
-
 def _samples(size: float) -> dict[str, Any]:
-    from diffeed.bench.batch import batch
-    from diffeed.bench.transport import transport
-
     found = batch(transport(), (round(size),), ("float64",))[0]
     kept = {"compile_seconds": "compile_seconds", "us_per_sample_step": "us_per_step", "reason": "reason"}
     return {new: found[old] for old, new in kept.items() if old in found}
 
 
 def _length(seconds: float) -> dict[str, Any]:
-    from diffeed.bench.transport import transport
-
     return _run(transport(driven=26, guides=12, duration=seconds), LONG_DT, FRAMES, fewest=1)
 
 
 SERIES: dict[str, Callable[[float], dict[str, Any]]] = {
-    "bars": _steps(_bars),
-    "line guides": _steps(_guides),
-    "driven rollers": _steps(_driven),
-    "drives with movable pinches": _steps(_nips),
+    "bars": _steps(lambda n: transport(bars=n)),
+    "line guides": _steps(lambda n: transport(guides=n)),
+    "driven rollers": _steps(lambda n: transport(driven=n)),
+    "drives with movable pinches": _steps(lambda n: transport(driven=4, nips=max(1, (n - 4) // 2))),
     "samples": _samples,
     "length": _length,
 }
@@ -125,8 +97,6 @@ def _end_with(parent: int) -> None:
 
 def _main(series: str, size: float) -> None:
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    from diffeed.session import set_up
-
     set_up(keep=False)
     row = measure(series, size)
     print(json.dumps(row | {"peak_mb": _peak()}))

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from diffeed.parts import Contact, Scene
-from diffeed.paths import parse_assignment, put
 from diffeed.records import fields
 from diffeed.rollout import LONGEST
 from diffeed.steppers import DEFAULT, ESTIMATING, METHODS
@@ -63,13 +62,6 @@ def power(value: float) -> str:
         return f"{value:.3g}"
     mantissa, exponent = f"{value:.2e}".split("e")
     return f"{float(mantissa):g}e{int(exponent)}"
-
-
-def apply(scene: Scene, setting: Setting) -> Scene:
-    """The scene with the changes of a setting."""
-    for text in setting.changes:
-        scene = put(scene, *parse_assignment(text))
-    return scene
 
 
 def sweep(steps: tuple[float, ...], methods: tuple[str, ...] = METHODS) -> list[Setting]:

@@ -1,6 +1,7 @@
 """Steppers: one step per method, one method per file, all with the signature step(model, state, h, kept)."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from jax import Array
 
@@ -9,8 +10,17 @@ from diffeed.forces import Contacts
 from diffeed.model import Model
 from diffeed.state import State
 from diffeed.steppers import extrapolated_euler, linear_euler, midpoint, runge_kutta
+from diffeed.steppers.extrapolated_euler import Ways
 
 Stepper = Callable[[Model, State, Array, Kept], tuple[State, Contacts]]
+
+
+class Estimated(NamedTuple):
+    """What error control goes on with of the `Ways` of a step, and the stepper that gives the same without the estimate."""
+
+    chosen: Callable[[Ways], State]
+    step: Stepper
+
 
 STEPPERS: dict[str, Stepper] = {
     "linear_euler": linear_euler.step,
@@ -19,7 +29,10 @@ STEPPERS: dict[str, Stepper] = {
     "runge_kutta": runge_kutta.step,
 }
 EXPLICIT = ("runge_kutta",)
-ESTIMATING = ("linear_euler", "extrapolated_euler")
+ESTIMATING = {
+    "linear_euler": Estimated(lambda ways: ways.halves, extrapolated_euler.two_halves),
+    "extrapolated_euler": Estimated(Ways.best, extrapolated_euler.step),
+}
 """Steppers whose error can be had from one step against two halves, as error control needs it."""
 DEFAULT = "linear_euler"
 METHODS = tuple(STEPPERS)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from diffeed import measures
-from optimize.files import write_whole
+from diffeed.files import write_whole
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen, joined
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffeed import plot_style
+from diffeed.files import plain, write_whole
 from diffeed.terminal import plain_table
-from optimize.files import plain, write_whole
 from optimize.tolerance import charts
 from optimize.tolerance.latitude import Map
 from optimize.tolerance.problem import ToleranceProblem

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from diffeed import measures
+from diffeed.files import plain
 from optimize.asked import Asked
-from optimize.files import plain
 from optimize.tolerance.contributions import Slopes
 from optimize.tolerance.draws import correlation, epsilons, uniforms
 from optimize.tolerance.problem import ToleranceProblem
