@@ -233,10 +233,12 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
 
 
 def _hint(ask: Request, cause: int) -> str:
+    from diffeed.causes import REMEDIES, SHORTER, TOO_DEEP
     from diffeed.rollout import STEP
     from diffeed.steppers import DEFAULT
-    from diffeed.trajectory import TOO_DEEP
 
+    if REMEDIES[cause] != SHORTER and cause != TOO_DEEP:
+        return f"What helps: {REMEDIES[cause]}."
     other = f", or --method {DEFAULT}" if ask.method not in (None, DEFAULT) else ""
     if ask.tolerance is not None:
         hint = f"Try a smaller tolerance (--tolerance {ask.tolerance / 10:g}){other}."

@@ -25,6 +25,13 @@ from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, p
 from diffeed.skin import Pieces, piece_circle, touched
 from diffeed.smooth import polar
 
+DEEPEST = 3.0
+"""mm: a bar axis further inside a roller or circle guide than this (or than half its radius) went through it."""
+SHALLOWEST = 0.25
+"""mm that a bar axis may always lie in a circle, a tip of radius 0 too."""
+DEEP_IN_GUIDES = 0.75
+"""Of the depth of a guide, behind which it lets go: a bar axis further behind its face is on the way through."""
+
 
 class Features(NamedTuple):
     """A bar for each feature of the sheets, (1, features): its own, or one of the two that it hangs on."""
@@ -105,6 +112,8 @@ class Pairs(NamedTuple):
     levers: tuple[Lever, ...]  # its own bar; on the smooth skin the bar in front and the bar behind
     v_n: Array
     v_t: Array
+    u_n: Array  # mm/s of the body's surface
+    u_t: Array
     weight: Array
     turning: Array  # geometric stiffness of the skin's rotation, kg mm2/s2
 
@@ -126,6 +135,7 @@ class Kept(NamedTuple):
     lines: Lines | None  # None: not looked at
     arcs: Arcs | None
     surface: Surface
+    allowed: Array  # mm that a bar axis may lie inside
     slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
 
@@ -155,7 +165,19 @@ def keep_rollers(model: Model) -> Kept:
     whole, n = keep_all(model), model.rollers.n
     fields = ("radius", "active", "travel_x", "travel_y", "spin_lever")
     cut = {name: getattr(whole, name)[:n] for name in fields}
-    return whole._replace(lines=None, arcs=None, surface=jax.tree.map(lambda v: v[:n], whole.surface), **cut)
+    surface, allowed = jax.tree.map(lambda v: v[:n], (whole.surface, whole.allowed))
+    return whole._replace(lines=None, arcs=None, surface=surface, allowed=allowed, **cut)
+
+
+def allowed_in_circles(radius: Array) -> Array:
+    """mm that a bar axis may lie inside circles."""
+    return jnp.maximum(jnp.minimum(DEEPEST, 0.5 * radius), SHALLOWEST)
+
+
+def allowed_depths(model: Model) -> Array:
+    """(bodies,) mm that a bar axis may lie inside: deeper, the sheet is on its way to the other side."""
+    behind = [DEEP_IN_GUIDES * guides.faces.depth for guides in (model.lines, model.arcs)]
+    return jnp.concatenate([allowed_in_circles(model.circles.radius), *behind])
 
 
 def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array | None) -> Kept:
@@ -190,6 +212,7 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         lines=jax.tree.map(lambda v: pick(v, lines), model.lines),
         arcs=jax.tree.map(lambda v: pick(v, arcs), model.arcs),
         surface=jax.tree.map(surface, model.surface),
+        allowed=surface(allowed_depths(model)),
         slot=slot,
         has_slot=has_slot,
     )
@@ -211,7 +234,9 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     touch = jax.tree.map(lambda v: near.weight * v, raw)
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
-    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), v_n, v_t, near.weight, touch.force * near.lever)
+    turning = touch.force * near.lever
+    moving = (v_n, v_t, near.u_n, near.u_t)
+    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
 
 
 def to_bars(model: Model, parts: Sequence[Array]) -> Array:

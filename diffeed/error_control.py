@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from diffeed.candidates import Candidates, for_as_long_as_they_last, search
+from diffeed.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.kinematics import node_velocities, nodes, pose
 from diffeed.model import Model
 from diffeed.parts import Scene
@@ -22,7 +23,6 @@ from diffeed.records import replace
 from diffeed.state import State
 from diffeed.steppers import ESTIMATING
 from diffeed.steppers.extrapolated_euler import Ways, both_ways
-from diffeed.trajectory import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 
 BLOCK = 8
 """Accepted steps between two searches for candidates, at most."""

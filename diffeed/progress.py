@@ -6,25 +6,25 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed import stick
+from diffeed import balance, faults, stick
+from diffeed.balance import Book
+from diffeed.bodies import bodies
 from diffeed.candidates import Candidates, check_reach
+from diffeed.causes import ACROSS, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
 from diffeed.contact import Kept
+from diffeed.crossing import guides_crossed
 from diffeed.forces import Contacts
-from diffeed.kinematics import to_nodes
+from diffeed.kinematics import pose
 from diffeed.model import Model
 from diffeed.observe import OBSERVERS, Seen
 from diffeed.parts import Scene
 from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 from diffeed.statics import settle_model
-from diffeed.trajectory import MOVED_TOO_FAR, NO_REST, NOT_FINITE, TOO_DEEP, TOO_FAST, TOO_MANY_NEAR, Resume
+from diffeed.trajectory import Resume
 
-DEEPEST = 3.0
-"""mm: a bar axis further inside a roller or circle guide than this (or than half its radius) went through it."""
 FIRST = 1e-6
 """s: the first attempt of error-controlled steps; a start is often an impact."""
-FASTEST = 1e7
-"""mm/s: ten kilometres a second."""
 
 
 class Progress(NamedTuple):
@@ -35,12 +35,13 @@ class Progress(NamedTuple):
     failed_at: Array
     open: dict[str, Any]
     next_step: Array  # s: the next attempt of error-controlled steps
+    book: Book  # the sheets' energy so far
 
 
 def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
     """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
     if isinstance(initial, Resume):
-        return Progress(initial.state, initial.cause, initial.failed_at, initial.open, initial.next_step)
+        return Progress(initial.state, initial.cause, initial.failed_at, initial.open, initial.next_step, initial.book)
     state, found = None if initial is None else stick.fitted(model, initial), jnp.asarray(True)
     if state is None:
         state = initial_state(model, scene)
@@ -48,9 +49,11 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
             with jax.named_scope("settle"):
                 state, found = settle_model(model, state)
     cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
-    failed_at = jnp.where(found, jnp.inf, state.time)
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
-    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, state.time.dtype))
+    cause = jnp.where((cause == 0) & _is_across(model, state), ACROSS, cause).astype(jnp.int32)
+    failed_at = jnp.where(cause == 0, jnp.inf, state.time)
+    dtype = state.time.dtype
+    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), balance.empty(dtype))
 
 
 def taken(
@@ -65,7 +68,10 @@ def taken(
 ) -> Progress:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
     before = carry.state
-    cause = judge(model, after, kept, touching)
+    cause, book = faults.of_step(model, before, after, touching, kept, h), carry.book
+    if balance.is_kept(model):
+        book, gained = balance.entered(model, book, before, pose(model, before), touching, kept, h)
+        cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
     fine = (carry.cause == 0) & (cause == 0)
     opened = carry.open
     if observe:
@@ -78,27 +84,23 @@ def taken(
         failed_at=jnp.where((carry.cause == 0) & (cause > 0), after.time, carry.failed_at),
         open=jax.tree.map(lambda a, b: jnp.where(fine, a, b), opened, carry.open),
         next_step=carry.next_step,
+        book=jax.tree.map(lambda a, b: jnp.where(fine, a, b), book, carry.book),
     )
 
 
 def searched(model: Model, found: Candidates, carry: Progress) -> Progress:
     """The end of a block of steps: a failure if its candidates were not good until here."""
-    lost = (carry.cause == 0) & ~check_reach(model, found, carry.state)
-    cause = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR).astype(jnp.int32)
+    near_enough = check_reach(model, found, carry.state)
+    lost = (carry.cause == 0) & (~near_enough | _is_across(model, carry.state))
+    unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
+    cause = jnp.where(near_enough, ACROSS, unseen).astype(jnp.int32)
     return carry._replace(
         cause=jnp.where(lost, cause, carry.cause), failed_at=jnp.where(lost, carry.state.time, carry.failed_at)
     )
 
 
-def judge(model: Model, after: State, kept: Kept, touching: Contacts) -> Array:
-    """Cause of failure of a step, 0 for none (see trajectory.CAUSES)."""
-    speeds = jnp.concatenate([after.vx, after.vy, after.rate * jnp.max(model.bars.half_length), after.travel_rate])
-    fastest = jnp.max(jnp.abs(speeds))
-    cause = jnp.where(jnp.isfinite(fastest), jnp.where(fastest > FASTEST, TOO_FAST, 0), NOT_FINITE)
-    if touching.sheets is not None and kept.n_circles:
-        pairs, n = touching.sheets, kept.n_circles
-        half = to_nodes(model.layout, model.bars.half_thickness, model.bars.half_thickness)[None, :]
-        inside = jnp.where(pairs.touch.force[:n] > 0, pairs.gap[:n] + half, 0.0)
-        deep = jnp.any(inside < -jnp.maximum(jnp.minimum(DEEPEST, 0.5 * kept.radius), 0.25))
-        cause = jnp.where((cause == 0) & deep, TOO_DEEP, cause)
-    return cause.astype(jnp.int32)
+def _is_across(model: Model, state: State) -> Array:
+    """Bool: a bar lies across a guide."""
+    if not (model.lines.names or model.arcs.names):
+        return jnp.asarray(False)
+    return jnp.any(guides_crossed(model, pose(model, state), bodies(model, state, state.time, state.time)))

@@ -6,16 +6,21 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from diffeed import error_control
 from diffeed.candidates import search
+from diffeed.causes import ACROSS, NO_REST, TOO_DEEP, UNRESOLVED
+from diffeed.contact import keep_all
+from diffeed.crossing import guides_crossed
+from diffeed.faults import severity
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
 from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.progress import Progress, begin, searched, taken
 from diffeed.records import replace
-from diffeed.snapshot import by_guide, felt_by_bodies, look, part_names, roller_order, snapshot
+from diffeed.snapshot import felt_by_bodies, look, part_names, snapshot
 from diffeed.state import State
 from diffeed.steppers import DEFAULT, ESTIMATING, STEPPERS
 from diffeed.trajectory import Failure, Resume, Trajectory
@@ -169,7 +174,7 @@ def _trajectory(
     """Look at the frames."""
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
-    part = _hardest_pressed(model, last.state) if model.has_bodies else jnp.full((), -1, jnp.int32)
+    part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
         dt=dt,
@@ -179,7 +184,10 @@ def _trajectory(
         guides=guides,
         ok=last.cause == 0,
         failure=Failure(
-            time=last.failed_at, cause=last.cause, part=jnp.where(last.cause > 1, part, -1), parts=part_names(model)
+            time=last.failed_at,
+            cause=last.cause,
+            part=jnp.where(last.cause > NO_REST, part, -1),
+            parts=part_names(model),
         ),
         observed={name: OBSERVERS[name].close(model, scene, last.open[name], last.state) for name in observe},
         final=Resume(**last._asdict()),
@@ -187,11 +195,25 @@ def _trajectory(
     )
 
 
-def _hardest_pressed(model: Model, state: State) -> Array:
-    """Index into part_names of the roller or guide that carries the largest force at a state."""
-    at, _, touching = look(model, state)
+def _blamed(model: Model, last: Progress, h: Array) -> Array:
+    """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
+    force at the last good state; -1: nothing touches."""
+    at, world, touching = look(model, last.state)
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
-    rollers = felt.force[: model.rollers.n][roller_order(model)]
-    forces = lax.stop_gradient(jnp.concatenate([rollers, by_guide(model, felt).force]))
-    return jnp.argmax(jnp.where(jnp.isnan(forces), jnp.inf, forces)).astype(jnp.int32)
+    about = severity(model, touching.sheets, keep_all(model), h)
+    across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), guides_crossed(model, at, world).astype(felt.gap.dtype)])
+    pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
+    told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
+    weight = jnp.where(told, jnp.exp(about), jnp.where(last.cause == ACROSS, across, pressed))
+    by_part = _by_part(model, weight)
+    return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
+
+
+def _by_part(model: Model, values: Array) -> Array:
+    """(bodies,) -> the largest for each of part_names: a guide's tips are the guide's."""
+    n = model.rollers.n
+    names = part_names(model)
+    owners = [f"rollers.{name}" for name in model.rollers.names] + [f"guides.{name}" for name in model.body_names[n:]]
+    index = np.array([names.index(owner) for owner in owners], dtype=int)
+    return jax.ops.segment_max(values, index, len(names))

@@ -67,12 +67,18 @@ def point_arc(
     ends, and free of atan2.
     """
     distance, ux, uy = polar(px - cx, py - cy)
+    surface = Near(side * (radius - distance), -side * ux, -side * uy, jnp.ones(()))
+    return _round_ends(px, py, surface, past_ends_of_arc(ux, uy, radius, mid, quarter), face)
+
+
+def past_ends_of_arc(
+    ux: Array, uy: Array, radius: Array, mid: tuple[Array, Array], quarter: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """How far (mm) the direction (ux, uy) from an arc's centre lies past its first end and past its second."""
     half_tangent = divide(mid[0] * uy - mid[1] * ux, 1.0 + mid[0] * ux + mid[1] * uy)
     cos_q, sin_q = quarter
     scale = 2.0 * radius * cos_q
-    beyond = (scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q))
-    surface = Near(side * (radius - distance), -side * ux, -side * uy, jnp.ones(()))
-    return _round_ends(px, py, surface, beyond, face)
+    return scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q)
 
 
 def _round_ends(px: Array, py: Array, plane: Near, beyond: tuple[Array, Array], face: Face) -> Near:

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from diffeed.causes import CAUSES, REMEDIES
 from diffeed.records import fields, number, record, replace, word
 from diffeed.state import State
 
@@ -92,28 +93,13 @@ class Parts(Generic[T]):
         return [self[name] for name in self.names]
 
 
-CAUSES = (
-    "",
-    "no rest state was found",
-    "the numbers stopped being finite",
-    "a bar was pushed deeper into a body than its depth",
-    "speeds grew past anything a feeder can do",
-    "more bodies came near one bar than the search keeps",
-    "something moved further between two searches than the search reached",
-    "the tolerance asks for more steps than `most_steps` allows",
-    "no step, however small, met the tolerance",
-)
-"""Causes of a failed run, by number."""
-NO_REST, NOT_FINITE, TOO_DEEP, TOO_FAST, TOO_MANY_NEAR, MOVED_TOO_FAR, OUT_OF_STEPS, TOO_SMALL = range(1, len(CAUSES))
-
-
 @record
 class Failure:
     """Why a run is not to be believed; cause 0 and time infinity where it is."""
 
     time: Any = number(unit="s", doc="when")
     cause: Any = number(unit="1", doc="index into CAUSES")
-    part: Any = number(unit="1", doc="index into `parts` of the part pressed hardest then; -1: none")
+    part: Any = number(unit="1", doc="index into `parts` of the part to blame, or pressed hardest then; -1: none")
     parts: tuple[str, ...] = word(default=(), doc="names of all parts", type=tuple)
 
     def describe(self) -> str:
@@ -123,6 +109,10 @@ class Failure:
             return ""
         part = f", at {self.parts[int(self.part)]}" if int(self.part) >= 0 else ""
         return f"at {float(self.time):.6g} s{part}: {CAUSES[cause]}"
+
+    def remedy(self) -> str:
+        """What helps, in a few words; empty for a run that holds."""
+        return REMEDIES[int(self.cause)]
 
 
 @record
@@ -144,13 +134,15 @@ class Trajectory:
 
 @record
 class Resume:
-    """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s)."""
+    """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s),
+    and the sheets' energy so far."""
 
     state: State
     cause: Any
     failed_at: Any
     open: dict[str, Any]
     next_step: Any
+    book: Any
 
 
 def join(pieces: list[Trajectory]) -> Trajectory:

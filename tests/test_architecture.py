@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    names records tuning terminal files smooth
+    names records tuning terminal files smooth causes
     shapes skin contact_law
     parts
     check_values
@@ -23,8 +23,10 @@ RANKS = """
     state system sums
     kinematics bodies
     contact
+    crossing
     stick
     candidates forces
+    balance faults
     chain_dense chain_elimination
     chain_solve
     steppers.advance steppers.linear_euler steppers.extrapolated_euler steppers.runge_kutta steppers.midpoint

@@ -7,9 +7,9 @@ import pytest
 from cases.scenes import draw, free_sheet
 
 import diffeed
+from diffeed.causes import CAUSES
 from diffeed.records import replace
 from diffeed.steppers import ESTIMATING
-from diffeed.trajectory import CAUSES
 
 FEEDER = diffeed.load_scene("film_feeder")
 RADIUS = "rollers.drive_1.radius"

@@ -1,0 +1,102 @@
+"""The sheets' energy against the work done on them: a step may lose energy, never find some.
+
+Stored: motion, bending, height, springs of contacts. Work: what the surfaces of rollers and guides do through contact
+forces, and loads. What is there beyond both came from nowhere: an unstable step, a contact that gives back more than it
+took. Damping and sliding only take, so that they need not be counted. The work is the trapezoidal rule over the forces at
+the ends of steps, which errs where a step is long for its contact; hence the wide margin.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from diffeed.contact import Kept, Pairs
+from diffeed.contact_law import elastic_energy
+from diffeed.forces import Contacts, hold_target
+from diffeed.kinematics import Pose
+from diffeed.model import Model
+from diffeed.state import State
+
+SHARE = 0.9
+"""Of all energy that is stored or went through: more than this from nowhere is a failure."""
+SLOW = 10.0
+"""mm/s: the energy of a sheet at this speed is too little to fail a run."""
+ROUNDING = 1e4
+"""Times the rounding error of the stored energies: below, there is nothing to be seen."""
+
+
+class Book(NamedTuple):
+    """Kept from step to step; energies in kg mm2/s2."""
+
+    opened: Array  # bool: there was a first look
+    start: Array  # stored then
+    power: Array  # at the last look, kg mm2/s3
+    work: Array  # done on the sheets since
+    through: Array  # the same without signs
+    peak: Array  # the most that was stored, counted from rest
+
+
+def empty(dtype: jnp.dtype) -> Book:
+    """Before the first look."""
+    zero = jnp.zeros((), dtype)
+    return Book(jnp.asarray(False), zero, zero, zero, zero, zero)
+
+
+def is_kept(model: Model) -> bool:
+    """Whether the work can be counted: that of a clamp that moves is not known."""
+    return all(hold.path is None for hold in model.holds)
+
+
+def entered(
+    model: Model, book: Book, state: State, at: Pose, touching: Contacts, kept: Kept, h: Array
+) -> tuple[Book, Array]:
+    """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
+    state, at, touching, kept = lax.stop_gradient((state, at, touching, kept))
+    moving, bending, height = _sheets(model, state, at)
+    pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets, kept)
+    power = power + _loads(model, at)
+    stored = moving + bending + height + pressed
+    start = jnp.where(book.opened, book.start, stored)
+    half = 0.5 * h
+    work = book.work + jnp.where(book.opened, half * (book.power + power), 0.0)
+    through = book.through + jnp.where(book.opened, half * (jnp.abs(book.power) + jnp.abs(power)), 0.0)
+    peak = jnp.maximum(book.peak, moving + bending + pressed + jnp.abs(stored - start))
+    found = stored - start - work
+    unseen = 0.5 * jnp.sum(model.bars.mass) * SLOW**2
+    unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
+    return Book(jnp.asarray(True), start, power, work, through, peak), found > SHARE * (peak + through) + unseen
+
+
+def _sheets(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:
+    """Energy of motion, of bending and of height."""
+    bars = model.bars
+    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
+    moving = bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2
+    height = -bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y)
+    sums = jnp.sum(jnp.stack([0.5 * moving, 0.5 * bars.joint_stiffness * bend**2, height]), axis=1)
+    bending = sums[1]
+    for hold in model.holds:
+        if hold.wall:
+            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
+            bending = bending + model.wall_stiffness[hold.bar] * turn**2
+    return sums[0], bending, sums[2]
+
+
+def _contacts(pairs: Pairs, kept: Kept) -> tuple[Array, Array]:
+    """Energy of the contact springs, and the power of the bodies' surfaces on the sheets."""
+    touch = pairs.touch
+    stored = pairs.weight * elastic_energy(kept.surface, -pairs.gap)
+    power = touch.force * pairs.u_n - touch.friction * pairs.u_t
+    sums = jnp.sum(jnp.stack([stored, power]), axis=(1, 2))
+    return sums[0], sums[1]
+
+
+def _loads(model: Model, at: Pose) -> Array:
+    """Power of dead forces and moments on nodes."""
+    total = jnp.zeros(())
+    for p in model.pushes:
+        arm, k = p.end * model.bars.half_length[p.bar], p.bar
+        vx, vy = at.vx[k] - arm * at.s[k] * at.w[k], at.vy[k] + arm * at.c[k] * at.w[k]
+        total = total + p.x * vx + p.y * vy + p.moment * at.w[k]
+    return total

@@ -1,0 +1,84 @@
+"""What makes a step or a block of steps not to be believed, found inside the compiled run and told by number (`causes`).
+
+Nothing here is felt by the run itself: no force, no gradient.
+"""
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from diffeed.causes import FROZEN, LEAPT, NOT_FINITE, SINGULAR, TOO_DEEP, TOO_FAST, UNRESOLVED
+from diffeed.contact import Kept, Pairs, allowed_in_circles
+from diffeed.forces import Contacts
+from diffeed.kinematics import to_nodes
+from diffeed.model import Model
+from diffeed.state import State
+
+FASTEST = 1e7
+"""mm/s: ten kilometres a second."""
+LEAP = 0.4
+"""mm: half a step at the speed that was gained in it, the error that first order leaves. A step of 10 ms under gravity has
+0.5 mm."""
+APPROACH = 0.5
+"""Of the depth that a body allows: what a sheet may come nearer in one step."""
+STILL = 1.0
+"""mm/s: a sheet that is slower may well stay where it is."""
+
+
+def of_step(model: Model, before: State, after: State, touching: Contacts, kept: Kept, h: Array) -> Array:
+    """Cause of failure of a step, 0 for none. `touching` are the contacts of the state before, as the steppers see them."""
+    before, after, touching, kept = lax.stop_gradient((before, after, touching, kept))
+    then, now = (_speeds(model, state) for state in (before, after))
+    fastest, leap = jnp.max(jnp.abs(now)), 0.5 * h * jnp.max(jnp.abs(now - then))
+    if touching.sheets is None:
+        loudest, cause = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    else:
+        loudest = jnp.max(jnp.abs(touching.sheets.touch.force))
+        cause = _of_pairs(model, touching.sheets, kept, h)
+    if touching.rollers is not None:
+        i, j = model.pair_index
+        allowed = allowed_in_circles(model.rollers.radius)
+        allowed = jnp.minimum(allowed[i], allowed[j])
+        cause = jnp.where(jnp.any(touching.rollers.gap < -allowed), TOO_DEEP, cause)
+    if before.x.dtype == jnp.float32:
+        cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
+    cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)
+    cause = jnp.where(fastest > FASTEST, TOO_FAST, cause)
+    # Where all that went into the equations was finite, it is the equations that failed.
+    blown = jnp.where(jnp.isfinite(loudest), SINGULAR, NOT_FINITE)
+    return jnp.where(jnp.isfinite(fastest), cause, blown).astype(jnp.int32)
+
+
+def _speeds(model: Model, state: State) -> Array:
+    return jnp.concatenate([state.vx, state.vy, state.rate * jnp.max(model.bars.half_length), state.travel_rate])
+
+
+def _of_pairs(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
+    depth, closing = _depth_and_approach(model, pairs, h)
+    deep = (pairs.touch.force > 0) & (depth > kept.allowed)
+    unresolved = (pairs.weight > 0) & (closing > APPROACH * kept.allowed) & (closing > pairs.gap)
+    worst = jnp.max(jnp.where(deep, 2, jnp.where(unresolved, 1, 0)))
+    return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[worst]
+
+
+def _depth_and_approach(model: Model, pairs: Pairs, h: Array) -> tuple[Array, Array]:
+    """How deep the axis lies in the body, and how much nearer it comes in a step (mm)."""
+    half = model.bars.half_thickness
+    return -(pairs.gap + to_nodes(model.layout, half, half)[None, :]), -pairs.v_n * h
+
+
+def _is_frozen(before: State, after: State, h: Array) -> Array:
+    """A sheet that moves, but whose position is too long a number to notice a step."""
+
+    def lost(place: Array, then: Array, speed: Array) -> Array:
+        return (jnp.abs(speed) > STILL) & (jnp.abs(place - then - h * speed) > 0.5 * jnp.abs(h * speed))
+
+    return jnp.any(lost(after.x, before.x, after.vx) | lost(after.y, before.y, after.vy))
+
+
+def severity(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
+    """(bodies,) by how much each body is entered or approached, in what it allows: whom to blame for a failed step."""
+    depth, closing = _depth_and_approach(model, pairs, h)
+    here = pairs.weight > 0
+    deep = jnp.where(here & (pairs.touch.force > 0), depth, -jnp.inf)
+    near = jnp.where(here & (closing > pairs.gap), closing / APPROACH, -jnp.inf)
+    return jnp.max(jnp.maximum(deep, near) / kept.allowed, axis=1)
