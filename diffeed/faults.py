@@ -43,8 +43,8 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)
     cause = jnp.where(fastest > FASTEST, TOO_FAST, cause)
-    # Where all that went into the equations was finite, it is the equations that failed.
-    blown = jnp.where(jnp.isfinite(loudest), SINGULAR, NOT_FINITE)
+    # The chain alone always has a solution; clamps may contradict each other, though all that they meet is finite.
+    blown = jnp.where(jnp.isfinite(loudest) & bool(model.holds), SINGULAR, NOT_FINITE)
     return jnp.where(jnp.isfinite(fastest), cause, blown).astype(jnp.int32)
 
 

@@ -202,7 +202,9 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
     about = severity(model, touching.sheets, keep_all(model), h)
-    across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), guides_crossed(model, at, world).astype(felt.gap.dtype)])
+    across = jnp.concatenate(
+        [jnp.zeros((len(model.circle_names),)), guides_crossed(model, at, world).astype(felt.gap.dtype)]
+    )
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
     weight = jnp.where(told, jnp.exp(about), jnp.where(last.cause == ACROSS, across, pressed))

@@ -1,0 +1,254 @@
+"""A run that cannot be believed says so: when, why and where, inside the compiled run and for each sample by itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import diffeed
+from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Scene, Sheet
+from diffeed.bodies import bodies
+from diffeed.causes import (
+    ACROSS,
+    CAUSES,
+    FROM_NOWHERE,
+    FROZEN,
+    LEAPT,
+    NOT_FINITE,
+    REMEDIES,
+    SINGULAR,
+    TOO_DEEP,
+    UNRESOLVED,
+)
+from diffeed.crossing import guides_crossed
+from diffeed.kinematics import pose
+from diffeed.model import build
+from diffeed.parts import normalise
+from diffeed.state import initial_state
+from tests.search.oracle import _across
+
+METHODS = diffeed.METHODS
+IMPLICIT = tuple(m for m in METHODS if m != "runge_kutta")
+
+
+def strip(**given):
+    """Two bars of 10 mm, 1e-3 kg."""
+    values = {
+        "length": 20.0, "thickness": 0.5, "width": 100.0, "density": 1e-6, "youngs_modulus": 300.0, "bars": 2,
+        "structural_damping": 1e-4,
+    }  # fmt: skip
+    return Sheet(**values | given)
+
+
+def machine(sheet, contact=None, **given):
+    values = {"contacts": {"default": contact or Contact(stiffness=30.0, damping=0.05)}, "initial": "given"}
+    return normalise(Scene(sheets={"strip": sheet}, **values | given))
+
+
+def thrown(speed):
+    """A strip that flies straight down at a post under its middle joint."""
+    post = CircleGuide(center=(-10.0, -20.0), radius=5.0)
+    return machine(strip(velocity=(0.0, -speed)), guides={"floor": post}, gravity=(0.0, 0.0))
+
+
+def pressed(guide, force):
+    """A strip pressed onto a guide by a force in its middle."""
+    return machine(
+        strip(lead=(10.0, 0.26)),
+        Contact(stiffness=3.0, damping=0.05),
+        guides={"bed": guide},
+        loads={"press": Load(sheet="strip", at=1, force=(0.0, -force))},
+        gravity=(0.0, 0.0),
+    )
+
+
+def failed(run, cause, part=None):
+    assert not bool(run.ok)
+    assert CAUSES[int(run.failure.cause)] == CAUSES[cause], run.failure.describe()
+    assert np.isfinite(run.failure.time)
+    assert CAUSES[cause] in run.failure.describe()
+    assert run.failure.remedy() == REMEDIES[cause]
+    if part is not None:
+        assert run.failure.parts[int(run.failure.part)] == part
+    for leaf in jax.tree.leaves((run.sheets, run.states)):
+        assert np.isfinite(leaf).all(), "the frames show the last good state"
+
+
+def test_every_cause_has_words_and_a_remedy():
+    assert len(set(CAUSES)) == len(CAUSES) == len(REMEDIES)
+    assert all(remedy for remedy in REMEDIES[1:])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "guide", [CircleGuide(center=(0.0, -10.0), radius=10.0), LineGuide(start=(-50.0, 0.0), end=(50.0, 0.0))]
+)
+def test_pushed_deeper_than_a_body_allows(guide, method):
+    """3 N/mm give way by more than 2.25 mm (guides) and 3 mm (circles) under 20 N; 1 N they bear."""
+    run = diffeed.simulate(pressed(guide, 20.0), duration=0.02, dt=2e-5, frames=3, method=method)
+    failed(run, TOO_DEEP, "guides.bed")
+    assert bool(diffeed.simulate(pressed(guide, 1.0), duration=0.02, dt=2e-5, frames=3, method=method).ok)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_approach_too_fast_to_be_resolved(method):
+    """At 20 m/s a step of 1e-4 s moves 2 mm, of 2.5 mm that the post allows, half may be made in a step; at 5 m/s 0.5 mm."""
+    run = diffeed.simulate(thrown(20e3), duration=0.01, dt=1e-4, frames=3, method=method)
+    failed(run, UNRESOLVED, "guides.floor")
+    slow = diffeed.simulate(thrown(5e3), duration=0.0029, dt=1e-4, frames=3, method=method)
+    assert bool(slow.ok), slow.failure.describe()
+
+
+def test_no_speed_passes_a_post_unseen():
+    """Whatever the step, a run that holds has the strip above the post."""
+    speeds = np.geomspace(100.0, 1e6, 64)
+    scenes = diffeed.stack([thrown(v) for v in speeds])
+    for dt in (1e-3, 1e-4):
+        runs = jax.vmap(lambda s, dt=dt: diffeed.simulate(s, duration=0.02, dt=dt, frames=21))(scenes)
+        middle = np.asarray(runs.sheets["strip"].nodes)[:, :, 1, 1]
+        assert (middle[np.asarray(runs.ok)] > -20.0).all()
+        assert 0 < np.asarray(runs.ok).sum() < len(speeds)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_step_of_ten_milliseconds_is_refused(method):
+    """Half a step at the speed gained under gravity: 0.5 mm."""
+    run = diffeed.simulate(machine(strip()), duration=0.1, dt=1e-2, frames=3, method=method)
+    failed(run, LEAPT)
+    assert bool(diffeed.simulate(machine(strip()), duration=0.1, dt=5e-3, frames=3, method=method).ok)
+
+
+def bouncing(stiffness):
+    """A strip that rests on a floor, undamped."""
+    contact = Contact(stiffness=stiffness, damping=0.0, smoothing=1e-4, friction_law="none")
+    floor = LineGuide(start=(-50.0, 0.0), end=(50.0, 0.0))
+    return machine(strip(lead=(10.0, 0.2501), youngs_modulus=0.0), contact, guides={"floor": floor})
+
+
+def test_energy_from_nowhere():
+    """Contact springs of omega dt = 5 and more under an explicit step of 2e-5 s: bars are thrown off at metres per second,
+    0.1 mm per step; neither speed nor depth tells."""
+    run = diffeed.simulate(bouncing(3e4), duration=0.02, dt=2e-5, frames=3, method="runge_kutta")
+    failed(run, FROM_NOWHERE, "guides.floor")
+    fine = diffeed.simulate(bouncing(30.0), duration=0.02, dt=2e-5, frames=3, method="runge_kutta")
+    assert bool(fine.ok), fine.failure.describe()
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_stiff_contact_is_no_fault(method):
+    run = diffeed.simulate(bouncing(3e4), duration=0.02, dt=1e-4, frames=3, method=method)
+    assert bool(run.ok), run.failure.describe()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_clamps_that_contradict_each_other(method):
+    """The same node held twice: the equations have no single solution."""
+    clamps = {"one": Clamp(sheet="strip", at="tail"), "two": Clamp(sheet="strip", at=2, displacement=(1.0, 0.0))}
+    failed(diffeed.simulate(machine(strip(), clamps=clamps), duration=0.01, dt=1e-5, frames=3, method=method), SINGULAR)
+
+
+def test_numbers_that_stop_being_finite():
+    """A modulus that is no number comes past no check; nothing touches, nothing is clamped."""
+    failed(diffeed.simulate(machine(strip(youngs_modulus=np.nan)), duration=0.01, dt=1e-3, frames=3), NOT_FINITE)
+
+
+def test_single_precision_loses_short_steps():
+    """300 mm/s in 1e-9 s are 3e-7 mm: at 200 mm a float32 does not notice."""
+    with jax.enable_x64(False):
+        sheet = strip(lead=(200.0, 0.0), speed=300.0)
+        scene = normalise(Scene(sheets={"strip": sheet}, initial="given", gravity=(0.0, 0.0)))
+        failed(diffeed.simulate(scene, duration=1e-7, dt=1e-9, frames=3), FROZEN)
+        assert bool(diffeed.simulate(scene, duration=1e-4, dt=1e-6, frames=3).ok)
+
+
+@pytest.mark.parametrize(
+    "guide",
+    [
+        LineGuide(start=(5.0, -30.0), end=(5.0, 30.0)),
+        ArcGuide(center=(-15.0, 0.0), radius=20.0, start_angle=-30.0, sweep=60.0),
+    ],
+)
+def test_a_bar_across_a_guide_at_the_start(guide):
+    """Its ends 5 mm and more to both sides feel nothing."""
+    run = diffeed.simulate(machine(strip(lead=(10.0, 0.0)), guides={"wall": guide}), duration=0.01, dt=1e-4, frames=3)
+    failed(run, ACROSS, "guides.wall")
+    assert float(run.failure.time) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_crossing_is_what_plain_geometry_says(seed):
+    """Random bars against a line and arcs of both sides; some cross, some do not."""
+    rng = np.random.default_rng(seed)
+    guides = {
+        "line": LineGuide(start=rng.uniform(-10.0, 10.0, 2), end=rng.uniform(-10.0, 10.0, 2), depth=1.0),
+        "inside": ArcGuide(center=rng.uniform(-9.0, 9.0, 2), radius=8.0, start_angle=30.0, sweep=-200.0, depth=1.0),
+        "outside": ArcGuide(
+            center=rng.uniform(-9.0, 9.0, 2), radius=7.0, start_angle=-70.0, sweep=120.0, side="outside", depth=1.0
+        ),
+    }
+    draws = [
+        machine(strip(lead=rng.uniform(-10.0, 10.0, 2), headings=rng.uniform(0.0, 360.0, 2)), guides=guides)
+        for _ in range(200)
+    ]
+
+    def crossed(scene):
+        model = build(scene)
+        state = initial_state(model, scene)
+        at = pose(model, state)
+        return guides_crossed(model, at, bodies(model, state, state.time, state.time))
+
+    found = np.asarray(jax.jit(jax.vmap(crossed))(diffeed.stack(draws)))
+    names = (*build(draws[0]).lines.names, *build(draws[0]).arcs.names)
+    expected = np.zeros_like(found)
+    for i, scene in enumerate(draws):
+        nodes = np.asarray(diffeed.simulate(scene, duration=1e-9, dt=1e-9, frames=2).sheets["strip"].nodes[:1])
+        for k, name in enumerate(names):
+            guide = diffeed.replace(scene.guides[name], depth=0.75)
+            expected[i, k] = bool(_across(name, guide, nodes))
+    assert (found == expected).all()
+    assert 0.05 < found.mean() < 0.95
+
+
+def test_each_sample_of_a_batch_by_itself():
+    """One flies, one arrives too fast, one starts with a nonsensical modulus: each has its own end."""
+    good, fast, odd = thrown(100.0), thrown(20e3), diffeed.put(thrown(100.0), "sheets.strip.youngs_modulus", np.nan)
+    runs = jax.vmap(lambda s: diffeed.simulate(s, duration=0.01, dt=1e-4, frames=5))(diffeed.stack([good, fast, odd]))
+    assert np.asarray(runs.ok).tolist() == [True, False, False]
+    assert np.asarray(runs.failure.cause).tolist() == [0, UNRESOLVED, NOT_FINITE]
+    assert np.isinf(runs.failure.time[0]) and float(runs.failure.time[2]) == pytest.approx(1e-4)
+    alone = diffeed.simulate(good, duration=0.01, dt=1e-4, frames=5)
+    np.testing.assert_array_equal(runs.sheets["strip"].nodes[0], alone.sheets["strip"].nodes)
+
+
+def test_checks_are_felt_by_no_gradient():
+    """The way of a failed run's sheet up to its failure is that of its steps alone."""
+
+    def height(speed):
+        scene = diffeed.put(thrown(1.0), "sheets.strip.velocity", jnp.stack([jnp.zeros(()), -speed]))
+        return diffeed.simulate(scene, duration=0.001, dt=1e-4, frames=2).sheets["strip"].nodes[-1, 1, 1]
+
+    assert float(jax.grad(height)(100.0)) == pytest.approx(-0.001, rel=1e-9)
+
+
+def test_a_run_goes_on_with_its_book():
+    """Stopped and gone on, the energy so far counts on."""
+    whole = diffeed.simulate(bouncing(3e4), duration=0.02, dt=2e-5, frames=3, method="runge_kutta")
+    first = diffeed.simulate(bouncing(3e4), duration=0.01, dt=2e-5, frames=2, method="runge_kutta")
+    second = diffeed.simulate(
+        bouncing(3e4), duration=0.01, dt=2e-5, frames=2, method="runge_kutta", initial=first.final
+    )
+    assert float(second.failure.time) == float(whole.failure.time)
+
+
+def test_a_driven_roller_puts_energy_in():
+    """A sheet that a roller sets going gains energy from the shaft, not from nowhere."""
+    rollers = {
+        "lower": FixedRoller(center=(-10.0, -10.24), radius=10.0, surface_speed=-2000.0),
+        "upper": FixedRoller(center=(-10.0, 10.24), radius=10.0, surface_speed=2000.0),
+    }
+    for method in METHODS:
+        run = diffeed.simulate(
+            machine(strip(), rollers=rollers, gravity=(0.0, 0.0)), duration=0.004, dt=1e-5, frames=3, method=method
+        )
+        assert bool(run.ok), run.failure.describe()
+        assert float(run.states.vx[-1, 0]) > 1000.0
