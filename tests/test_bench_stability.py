@@ -114,7 +114,7 @@ def made_up() -> list[dict]:
 def test_what_is_wrong_without_a_word_is_counted_and_named():
     said = report.wrong_runs(made_up())
     assert "4 runs are plainly wrong and say that they hold" in said[0]
-    assert any("runge_kutta, sheet tension" in line and "(refused)" in line and "7.00 mm" in line for line in said)
+    assert any("runge_kutta, sheet tension" in line and "1 refused" in line and "7.00 mm" in line for line in said)
     assert "No run is plainly wrong" in report.wrong_runs([r for r in made_up() if r["became"] != "wrong"])[0]
 
 

@@ -6,7 +6,7 @@ from diffeed.bench.machine import sentence
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.pareto import pareto
 from diffeed.bench.records import Front, Row
-from diffeed.bench.stability import CLASSES, RIGHT, WRONG
+from diffeed.bench.stability import CLASSES, CONTROLLED, RIGHT, WRONG
 from diffeed.bench.stability_scene import AXES
 from diffeed.terminal import plain_table
 
@@ -187,7 +187,7 @@ def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> N
 
 
 def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
-    """How many runs of each stepper became what; then those that are wrong without a word, and how far `check` saw it."""
+    """How many runs of each stepper became what; then those that are wrong without a word, and what `check` let pass."""
     titles = {**dict.fromkeys(CLASSES), "wrong": f"wrong\n>{WRONG:g} mm", "failed": "failed,\nsaid so"}
     table = plain_table("stepper", *(title or name for name, title in titles.items()), "refused\nby check")
     lines = []
@@ -201,22 +201,29 @@ def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
 
 
 def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
-    """Runs that are plainly wrong and yet say that they hold: a line for each stepper, number and value."""
-    wrong: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    """Runs that are plainly wrong and yet say that they hold: a line for each stepper and number."""
+    wrong: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for r in rows:
         if r["became"] == "wrong":
-            wrong.setdefault((r["method"], r["axis"], r["value"]), []).append(r)
-    total = sum(map(len, wrong.values()))
-    if not total:
+            wrong.setdefault((r["method"], r["axis"]), []).append(r)
+    if not wrong:
         return ["\nNo run is plainly wrong without saying so."]
-    found = [f"\n{total} runs are plainly wrong and say that they hold:"]
-    for (method, axis, value), own in wrong.items():
+    found = [f"\n{sum(map(len, wrong.values()))} runs are plainly wrong and say that they hold:"]
+    for (method, axis), own in wrong.items():
         title, unit, _ = AXES[axis]
-        sizes = ", ".join(f"{digits(r['size'])}{' (refused)' if r['refused'] else ''}" for r in own)
         errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
         worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"
-        found.append(f"  {method}, {title.lower()} {digits(value)} {unit}: step or tolerance {sizes} ({worst})")
+        refused = sum(r["refused"] for r in own)
+        found.append(
+            f"  {method}, {title.lower()} {_range(own, 'value')} {unit}, at {_range(own, 'size')} "
+            f"{'mm' if method == CONTROLLED else 's'}: {len(own)} ({worst}{f', {refused} refused' if refused else ''})"
+        )
     return found
+
+
+def _range(rows: list[dict[str, Any]], key: str) -> str:
+    low, high = (pick(r[key] for r in rows) for pick in (min, max))
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def explicit_runs(rows: list[dict[str, Any]]) -> list[str]:

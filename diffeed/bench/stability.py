@@ -138,7 +138,7 @@ class Batch:
         """All cases by equal steps."""
         per_frame = round(FRAME / dt)
         piece = max(p for p in PIECES if per_frame % p == 0)
-        now, found = self.starts, []
+        now, nodes, found = self.starts, None, []
         for _ in range(FRAMES):
             for _ in range(per_frame // piece):
                 now, nodes = _piece(self.scenes, now, dt, piece, method)
