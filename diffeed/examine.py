@@ -19,9 +19,6 @@ from diffeed.state import State, initial_state
 from diffeed.statics import settle_model
 from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS, midpoint, runge_kutta
 
-WAVE, DECAY = 2.0 * 2.0**0.5, 2.785
-"""Step times rate up to which classical Runge-Kutta is stable: of a wave, of what only decays."""
-
 
 def check(
     scene: Scene, dt: float | None = None, method: str | None = None, tolerance: float | None = None
@@ -115,8 +112,8 @@ def explicit_limit(model: Model, state: State) -> tuple[float, str]:
     """
     model = _undriven(model)
     stiffest, at_an_end = _estimates(model, _still(state))
-    found = _largest_step(np.linalg.eigvals(np.asarray(_slopes(model, state))))
-    return min(found, at_an_end), stiffest
+    rates = np.linalg.eigvals(np.asarray(_slopes(model, state)))
+    return _largest_step(np.concatenate([rates, at_an_end])), stiffest
 
 
 def _undriven(model: Model) -> Model:
@@ -152,8 +149,8 @@ def _largest_step(rates: Any) -> float:
     return float(np.min(radius[np.argmax(growth > 1.0 + 1e-9, axis=0) - 1, 0] / np.abs(fast)))
 
 
-def _estimates(model: Model, state: State) -> tuple[str, float]:
-    """The spring or damper whose own rate (1/s) is the largest, and the largest step (s) for contacts on an end in a nip.
+def _estimates(model: Model, state: State) -> tuple[str, np.ndarray]:
+    """The spring or damper whose own rate (1/s) is the largest, and the rates of an end of the sheet in a nip.
 
     Bending: the zig-zag mode of a chain, omega = sqrt(48 k/(m L^2)), its damping xi omega^2. Contact: the end of a long chain
     of bars without stiffness moves under a force like m/(2 sqrt 3), and a nip presses from both sides.
@@ -167,7 +164,7 @@ def _estimates(model: Model, state: State) -> tuple[str, float]:
     }
     pairs = jax.jit(look)(model, state)[2].sheets
     if pairs is None:
-        return max(rates, key=lambda name: rates[name]), np.inf
+        return max(rates, key=lambda name: rates[name]), np.zeros(0)
     touch, surface = pairs.touch, model.surface
     moved = float(jnp.min(bars.mass)) / (4.0 * 3.0**0.5)
     full = float(jnp.max(jnp.where(surface.exponent == 1.0, surface.stiffness, 0.0)))
@@ -177,7 +174,7 @@ def _estimates(model: Model, state: State) -> tuple[str, float]:
     if surface.stick is not None and touch.secant is not None:
         held = float(jnp.max(jnp.where(surface.stick[:, None], touch.secant, 0.0)))
         rates["tangential stiffness of what sticks"] = (held / BRISTLE_LAG / moved) ** 0.5
-    return max(rates, key=lambda name: rates[name]), min(WAVE / max(spring, 1e-30), DECAY / max(damper, 1e-30))
+    return max(rates, key=lambda name: rates[name]), np.roots([1.0, damper, spring**2])
 
 
 def _too_fast(model: Model, state: State, dt: float, method: str) -> list[str]:

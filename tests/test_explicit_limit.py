@@ -86,9 +86,10 @@ def largest_step(factor, around: float) -> float:
     return float(np.exp(low))
 
 
-def agree(found: float, theory: float, limit: float, within: float = 0.01) -> None:
-    assert found == pytest.approx(theory, rel=within)
-    assert 0.5 * found <= limit <= 1.01 * found, "what check allows is stable, and not half of it is given away"
+def agree(found: float, theory: float, limit: float, least: float = 0.99) -> None:
+    """`least`: how much of the largest stable step `check` must allow."""
+    assert found == pytest.approx(theory, rel=0.01)
+    assert least * found <= limit <= 1.01 * found, "what check allows is stable, and not much of it is given away"
 
 
 def alternating(bars: int) -> np.ndarray:
@@ -141,7 +142,7 @@ def test_a_contact_spring():
     theory = WAVE / np.sqrt(6.0 * stiffness * NEWTON / mass)
     factor, (limit, cause) = growth(scene, np.array([1e-6]))
     assert cause == "contact stiffness"
-    agree(largest_step(factor, theory), theory, limit)
+    agree(largest_step(factor, theory), theory, limit, least=0.5)  # check thinks of a nip
 
 
 def nip(**contact) -> Scene:
@@ -168,7 +169,7 @@ def test_a_start_off_the_nip_does_not_hide_it():
     limit, cause = explicit_limit(model, state)
     bar = DENSITY * LENGTH / 10 * THICKNESS * WIDTH
     assert cause == "contact stiffness"
-    assert limit == pytest.approx(WAVE / np.sqrt(2.0 * 50.0 * NEWTON * 2.0 * np.sqrt(3.0) / bar), rel=1e-6)
+    assert limit == pytest.approx(WAVE / np.sqrt(2.0 * 50.0 * NEWTON * 2.0 * np.sqrt(3.0) / bar), rel=1e-3)
 
 
 def test_friction_below_the_stick_speed():

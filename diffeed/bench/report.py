@@ -210,15 +210,19 @@ def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
         return ["\nNo run is plainly wrong without saying so."]
     found = [f"\n{sum(map(len, wrong.values()))} runs are plainly wrong and say that they hold:"]
     for (method, axis), own in wrong.items():
-        title, unit, _ = AXES[axis]
         errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
         worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"
         refused = sum(r["refused"] for r in own)
         found.append(
-            f"  {method}, {title.lower()} {_range(own, 'value')} {unit}, at {_range(own, 'size')} "
+            f"  {method}, {_named(axis, _range(own, 'value'))}, at {_range(own, 'size')} "
             f"{'mm' if method == CONTROLLED else 's'}: {len(own)} ({worst}{f', {refused} refused' if refused else ''})"
         )
     return found
+
+
+def _named(axis: str, value: str) -> str:
+    title, unit, _ = AXES[axis]
+    return f"{title.lower()} {value}" + ("" if unit == "1" else f" {unit}")
 
 
 def _range(rows: list[dict[str, Any]], key: str) -> str:
@@ -235,7 +239,7 @@ def explicit_runs(rows: list[dict[str, Any]]) -> list[str]:
     sound = sum(r["became"] == "right" for r in refused)
     missed = [r for r in passed if r["became"] in ("failed", "wrong")]
     found = [
-        f"\nOf {len(refused)} runs that check refuses for their step, {sound} are right all the same; of {len(passed)} that it "
+        f"\nOf {len(refused)} runs that check refuses for their step, {sound} would be right; of {len(passed)} that it "
         f"lets pass, {len(missed)} fail or are plainly wrong{':' if missed else '.'}"
     ]
     for r in missed:
