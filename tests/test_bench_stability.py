@@ -1,6 +1,7 @@
 """The stability map: how a run is judged, that what blows up is seen, what is counted, drawn and written."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
-from diffeed.bench import files, report, stability, stability_chart
+from diffeed.bench import files, machine, report, stability, stability_chart
 from diffeed.bench.stability import Case, Doubted, Paths, judge
 from diffeed.bench.stability_scene import AXES, BASE, vary
 from diffeed.trajectory import CAUSES, TOO_FAST
@@ -69,10 +70,17 @@ def batch() -> stability.Batch:
 
 
 def test_a_run_far_above_the_limit_fails_and_was_refused(batch):
-    rows = list(batch.rows("runge_kutta", 2e-3, batch.run("runge_kutta", 2e-3), NOTHING, batch.limits))
+    rows = list(batch.rows("runge_kutta", 2e-3, batch.run("runge_kutta", 2e-3), NOTHING, [1e-4, 1e-4]))
     assert {(r["became"], r["refused"]) for r in rows} == {("failed", True)}
     assert all(r["cause"] in CAUSES[1:] for r in rows)
     assert all(r["error_mm"] is None for r in rows)
+
+
+@pytest.mark.slow
+def test_the_limit_of_a_case_is_that_of_check(batch):
+    assert batch.limits[0] == batch.limits[1]
+    assert diffeed.check(vary("bars", 5), 0.99 * batch.limits[0], "runge_kutta") == []
+    assert diffeed.check(vary("bars", 5), 1.01 * batch.limits[0], "runge_kutta") != []
 
 
 @pytest.mark.slow
@@ -139,6 +147,13 @@ def test_the_command_writes_a_picture_and_rows_that_can_be_drawn_again(tmp_path,
         tmp_path / "draft", tmp_path / "again", "stability", {}, lambda: stability_chart.stability(data["rows"])
     )
     assert again == ["stability.png", "stability.json"]
+
+
+def test_a_working_copy_names_its_commit(tmp_path, monkeypatch):
+    found = machine.machine()["commit"]
+    assert (found is not None) == (Path(diffeed.__file__).parents[1] / ".git").exists()
+    monkeypatch.setattr(machine, "__file__", str(tmp_path / "diffeed" / "bench" / "machine.py"))
+    assert machine.machine()["commit"] is None
 
 
 def test_cells_meet_half_way():
