@@ -1,20 +1,23 @@
 """`check`: every problem of a scene at once, as sentences: its numbers, then its geometry at the start, then the step."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.flatten_util import ravel_pytree
 
 from diffeed.check_records import check_records
+from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
+from diffeed.records import replace
 from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 from diffeed.statics import settle_model
-from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
+from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS, midpoint, runge_kutta
 
 
 def check(
@@ -101,40 +104,77 @@ def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
 
 
 def explicit_limit(model: Model, state: State) -> tuple[float, str]:
-    """Largest stable step (s) of an explicit method at a state, and the cause: 2.78/omega of bending, contact, damping.
+    """Largest stable step (s) of `runge_kutta`, and which spring or damper is the likeliest cause.
 
-    Estimates: the zig-zag mode of the chain, omega = sqrt(48 k/(m Ls^2)); a bar on its contact spring; dampers 2.78 m/c.
+    The smaller of two. From the eigenvalues of the equations of motion at a state, everything standing still: there
+    friction is at its stiffest. And of an end of the sheet in a nip: that comes later, and not every contact is at its full
+    stiffness at the start. What presses deeper later, with an exponent other than 1 or with dampers, is not seen.
+    """
+    model = _undriven(model)
+    stiffest, at_an_end = _estimates(model, _still(state))
+    rates = np.linalg.eigvals(np.asarray(_slopes(model, state)))
+    return _largest_step(np.concatenate([rates, at_an_end])), stiffest
+
+
+def _undriven(model: Model) -> Model:
+    """With shafts that do not turn."""
+    drives = (replace(d, values=jnp.zeros_like(d.values)) for d in model.rollers.drives)
+    return replace(model, rollers=replace(model.rollers, drives=tuple(drives)))
+
+
+def _still(state: State) -> State:
+    return replace(state, **{name: jnp.zeros_like(getattr(state, name)) for name in midpoint.RATES})
+
+
+@jax.jit
+def _slopes(model: Model, state: State) -> Array:
+    """Derivative of the rate of change of a state by the state, all speeds zero."""
+    flat, whole = ravel_pytree(_still(state))
+    kept = keep_all(model)
+    return jax.jacfwd(lambda v: ravel_pytree(runge_kutta.derivative(model, whole(v), jnp.ones(()), kept)[0])[0])(flat)
+
+
+def _largest_step(rates: Any) -> float:
+    """Largest h for which classical Runge-Kutta lets no mode exp(rate t) grow; infinite where nothing moves by itself.
+
+    A mode that grows by itself (a sheet that buckles) counts as one that decays as fast.
+    """
+    size = np.abs(rates)
+    fast = rates[size > 1e-6 * max(np.max(size, initial=0.0), 1e-30)]
+    if not len(fast):
+        return np.inf
+    radius = np.linspace(0.5, 4.0, 3501)[:, None]
+    z = radius * (-np.abs(fast.real) + 1j * fast.imag)[None, :] / np.abs(fast)[None, :]
+    growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
+    return float(np.min(radius[np.argmax(growth > 1.0 + 1e-9, axis=0) - 1, 0] / np.abs(fast)))
+
+
+def _estimates(model: Model, state: State) -> tuple[str, np.ndarray]:
+    """The spring or damper whose own rate (1/s) is the largest, and the rates of an end of the sheet in a nip.
+
+    Bending: the zig-zag mode of a chain, omega = sqrt(48 k/(m L^2)), its damping xi omega^2. Contact: the end of a long chain
+    of bars without stiffness moves under a force like m/(2 sqrt 3), and a nip presses from both sides.
     """
     bars = model.bars
-    length = 2.0 * bars.half_length
-    bending = float(jnp.max(jnp.sqrt(48.0 * bars.joint_stiffness / (bars.mass * length**2)))) if len(bars.mass) else 0.0
-    causes = [(2.78 / max(bending, 1e-30), "bending of the chain")]
-    if bending > 0:
-        xi = float(
-            jnp.max(
-                jnp.where(
-                    bars.joint_stiffness > 0,
-                    bars.joint_damping / jnp.where(bars.joint_stiffness > 0, bars.joint_stiffness, 1.0),
-                    0.0,
-                )
-            )
-        )
-        causes.append((2.78 / max(xi * bending**2, 1e-30), "structural damping"))
-    touching = jax.jit(look)(model, state)[2]
-    lightest = float(jnp.min(bars.mass))
-    pairs = touching.sheets
-    if pairs is not None:
-        touch = pairs.touch
-        k, c, s = (0.0 if v is None else float(jnp.max(v)) for v in (touch.stiffness, touch.damping, touch.secant))
-        # An end circle turns its bar too: a quarter of the mass acts there.
-        causes.append((2.78 / max((4.0 * k / lightest) ** 0.5, 1e-30), "contact stiffness"))
-        causes.append((2.78 * lightest / max(4.0 * c, 1e-30), "contact damping"))
-        causes.append((2.78 * lightest / max(4.0 * s, 1e-30), "friction below the stick speed"))
-        if model.surface.stick is not None and touch.secant is not None:
-            held = jnp.where(model.surface.stick[:, None], touch.secant, 0.0)
-            spring = float(jnp.max(held)) / BRISTLE_LAG
-            causes.append((2.78 / max((4.0 * spring / lightest) ** 0.5, 1e-30), "tangential stiffness of what sticks"))
-    return min(causes)
+    bending = jnp.sqrt(48.0 * bars.joint_stiffness / bars.mass) / (2.0 * bars.half_length)
+    bent = jnp.where(bars.joint_stiffness > 0, bars.joint_stiffness, 1.0)
+    rates = {
+        "bending of the chain": float(jnp.max(bending)),
+        "structural damping": float(jnp.max(bars.joint_damping / bent * bending**2)),
+    }
+    pairs = jax.jit(look)(model, state)[2].sheets
+    if pairs is None:
+        return max(rates, key=lambda name: rates[name]), np.zeros(0)
+    touch, surface = pairs.touch, model.surface
+    moved = float(jnp.min(bars.mass)) / (4.0 * 3.0**0.5)
+    full = float(jnp.max(jnp.where(surface.exponent == 1.0, surface.stiffness, 0.0)))
+    now, c, s = (0.0 if v is None else float(jnp.max(v)) for v in (touch.stiffness, touch.damping, touch.secant))
+    spring, damper = (max(full, now) / moved) ** 0.5, c / moved
+    rates |= {"contact stiffness": spring, "contact damping": damper, "friction below the stick speed": s / moved}
+    if surface.stick is not None and touch.secant is not None:
+        held = float(jnp.max(jnp.where(surface.stick[:, None], touch.secant, 0.0)))
+        rates["tangential stiffness of what sticks"] = (held / BRISTLE_LAG / moved) ** 0.5
+    return max(rates, key=lambda name: rates[name]), np.roots([1.0, damper, spring**2])
 
 
 def _too_fast(model: Model, state: State, dt: float, method: str) -> list[str]:

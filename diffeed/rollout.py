@@ -91,6 +91,11 @@ def simulate(
     return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 
+def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
+    """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
+    return _simulate(normalise(scene), dt, start, plan(float(steps), 1.0, 2), method, ())
+
+
 def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
     for name, value in (("duration", duration), ("dt", dt)):
         if not (math.isfinite(value) and value > 0):

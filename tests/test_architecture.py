@@ -54,6 +54,7 @@ RANKS = """
     bench.jaxprs bench.pareto bench.records
     bench.front bench.transport bench.batch bench.point
     bench.growth bench.features
+    bench.stability_scene bench.stability bench.stability_chart
     bench.report bench.charts bench.files bench.advise
     bench.cli
     cli

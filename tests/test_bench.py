@@ -505,7 +505,7 @@ def test_help_needs_nothing_heavy():
 import sys
 import diffeed.cli
 from click.testing import CliRunner
-for words in (["advise"], ["bench"], *(["bench", n] for n in ("front", "growth", "features", "batch"))):
+for words in (["advise"], ["bench"], *(["bench", n] for n in ("front", "growth", "features", "batch", "stability"))):
     done = CliRunner().invoke(diffeed.cli.main, [*words, "--help"])
     assert done.exit_code == 0, done.output
 heavy = {"jax", "numpy", "matplotlib", "rich"} & set(sys.modules)

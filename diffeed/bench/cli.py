@@ -53,6 +53,7 @@ class SceneGroup(click.Group):
 Examples:
   diffeed bench film_feeder --out costs
   diffeed bench growth --out costs
+  diffeed bench stability --out costs
   diffeed bench front --help
 """,
 )
@@ -168,10 +169,40 @@ def batch(out: Path | None, force: bool, **options: Any) -> None:
         )  # fmt: skip
 
 
-def _measured(run: Callable[[Any], list[dict[str, Any]]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows, and the machine they were measured on, which is told at once."""
+@bench.command(context_settings=SETTINGS)
+@OUT
+@QUICK
+@FORCE
+def stability(out: Path | None, quick: bool, force: bool) -> None:
+    """Where each stepper is right, inaccurate, fails, or is wrong without a word: time step against six numbers."""
+    from diffeed.bench.files import names_of, write_rows
+    from diffeed.bench.report import print_stability
+
+    with stoppable(), _draft(out, names_of("stability"), force) as draft:
+        rows, machine = _measured(lambda show: _stability(quick, show), keep=True)  # nothing is timed
+        from diffeed.bench import stability_chart
+
+        print_stability(console(), rows)
+        data = {"machine": machine, "rows": rows}
+        _publish(
+            out, draft, lambda draft, folder: write_rows(
+                draft, folder, "stability", data, lambda: stability_chart.stability(rows)
+            ),
+        )  # fmt: skip
+
+
+def _stability(quick: bool, show: Any) -> list[dict[str, Any]]:
+    from diffeed.bench.stability import stability
+
+    return stability(quick, show)
+
+
+def _measured(
+    run: Callable[[Any], list[dict[str, Any]]], keep: bool = False
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows, and the machine they were measured on, which is told at once. `keep`: see `set_up`."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
-    set_up(keep=False)
+    set_up(keep=keep)
     from diffeed.bench.machine import machine, sentence
 
     found = machine()

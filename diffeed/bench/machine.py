@@ -2,6 +2,7 @@
 
 import os
 import platform
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ def machine() -> dict[str, Any]:
         "device": f"{device.platform}: {device.device_kind}",
         "jax": jax.__version__,
         "diffeed": diffeed.__version__,
+        "commit": _commit(),
         "python": platform.python_version(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     }
@@ -33,6 +35,18 @@ def sentence(found: dict[str, Any]) -> str:
         f"{found['processor']}, {found['cores']} cores, {found['device']}; jax {found['jax']}, "
         f"diffeed {found['diffeed']}{noise}"
     )
+
+
+def _commit() -> str | None:
+    """Of the working copy that the package lies in; none where it is installed."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        words = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]
+        return subprocess.run(words, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 def _processor() -> str:

@@ -6,6 +6,8 @@ from diffeed.bench.machine import sentence
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.pareto import pareto
 from diffeed.bench.records import Front, Row
+from diffeed.bench.stability import CLASSES, CONTROLLED, RIGHT, WRONG
+from diffeed.bench.stability_scene import AXES
 from diffeed.terminal import plain_table
 
 if TYPE_CHECKING:
@@ -182,6 +184,70 @@ def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> N
             console.print(f"{row['samples']} samples, {row['precision']}: {row['reason']}")
         elif row.get("failed"):
             console.print(f"{row['samples']} samples, {row['precision']}: {row['failed']} runs failed")
+
+
+def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
+    """How many runs of each stepper became what; then those that are wrong without a word, and what `check` let pass."""
+    titles = {**dict.fromkeys(CLASSES), "wrong": f"wrong\n>{WRONG:g} mm", "failed": "failed,\nsaid so"}
+    table = plain_table("stepper", *(title or name for name, title in titles.items()), "refused\nby check")
+    lines = []
+    for method in dict.fromkeys(r["method"] for r in rows):
+        own = [r for r in rows if r["method"] == method]
+        counts = [sum(r["became"] == name for r in own) for name in CLASSES]
+        lines.append((method, *map(str, counts), str(sum(r["refused"] for r in own))))
+    _print(console, f"What became of {len(rows)} runs (right: within {RIGHT:g} mm)", table, lines)
+    for line in [*wrong_runs(rows), *explicit_runs(rows)]:
+        console.print(line)
+
+
+def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
+    """Runs that are plainly wrong and yet say that they hold: a line for each stepper and number."""
+    wrong: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for r in rows:
+        if r["became"] == "wrong":
+            wrong.setdefault((r["method"], r["axis"]), []).append(r)
+    if not wrong:
+        return ["\nNo run is plainly wrong without saying so."]
+    found = [f"\n{sum(map(len, wrong.values()))} runs are plainly wrong and say that they hold:"]
+    for (method, axis), own in wrong.items():
+        errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
+        worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"
+        refused = sum(r["refused"] for r in own)
+        found.append(
+            f"  {method}, {_named(axis, _range(own, 'value'))}, at {_range(own, 'size')} "
+            f"{'mm' if method == CONTROLLED else 's'}: {len(own)} ({worst}{f', {refused} refused' if refused else ''})"
+        )
+    return found
+
+
+def _named(axis: str, value: str) -> str:
+    title, unit, _ = AXES[axis]
+    return f"{title.lower()} {value}" + ("" if unit == "1" else f" {unit}")
+
+
+def _range(rows: list[dict[str, Any]], key: str) -> str:
+    low, high = (pick(r[key] for r in rows) for pick in (min, max))
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def explicit_runs(rows: list[dict[str, Any]]) -> list[str]:
+    """Whether `check` refuses what fails, and lets pass what does not."""
+    limited = [r for r in rows if r["limit_s"] is not None]
+    refused, passed = [r for r in limited if r["refused"]], [r for r in limited if not r["refused"]]
+    if not limited:
+        return []
+    sound = sum(r["became"] == "right" for r in refused)
+    missed = [r for r in passed if r["became"] in ("failed", "wrong")]
+    found = [
+        f"\nOf {len(refused)} runs that check refuses for their step, {sound} would be right; of {len(passed)} that it "
+        f"lets pass, {len(missed)} fail or are plainly wrong{':' if missed else '.'}"
+    ]
+    for r in missed:
+        title, unit, _ = AXES[r["axis"]]
+        found.append(
+            f"  {title.lower()} {digits(r['value'])} {unit}, {digits(r['size'])} s: {r['cause'] or r['became']}"
+        )
+    return found
 
 
 def _print_rows(
