@@ -34,7 +34,7 @@ class Book(NamedTuple):
     power: Array  # at the last look, kg mm2/s3
     work: Array  # done on the sheets since
     through: Array  # the same without signs
-    peak: Array  # the most that was stored, counted from rest
+    peak: Array  # the most that was stored outside contacts
 
 
 def empty(dtype: jnp.dtype) -> Book:
@@ -56,13 +56,15 @@ def entered(
     moving, bending, height = _sheets(model, state, at)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets, kept)
     power = power + _loads(model, at)
-    stored = moving + bending + height + pressed
-    start = jnp.where(book.opened, book.start, stored)
+    start = jnp.where(book.opened, book.start, moving + bending + height + pressed)
     half = 0.5 * h
     work = book.work + jnp.where(book.opened, half * (book.power + power), 0.0)
     through = book.through + jnp.where(book.opened, half * (jnp.abs(book.power) + jnp.abs(power)), 0.0)
-    peak = jnp.maximum(book.peak, moving + bending + pressed + jnp.abs(stored - start))
-    found = stored - start - work
+    # A spring may be loaded too much for the length of a step, where a contact begins within it: what counts is what comes
+    # out of it.
+    free = moving + bending + height
+    peak = jnp.maximum(book.peak, jnp.maximum(moving + bending, jnp.abs(free - start)))
+    found = free - start - work
     unseen = 0.5 * jnp.sum(model.bars.mass) * SLOW**2
     unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
     return Book(jnp.asarray(True), start, power, work, through, peak), found > SHARE * (peak + through) + unseen

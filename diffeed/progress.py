@@ -36,12 +36,21 @@ class Progress(NamedTuple):
     open: dict[str, Any]
     next_step: Array  # s: the next attempt of error-controlled steps
     book: Book  # the sheets' energy so far
+    error: Array  # mm: that of all steps so far, if they had order one
 
 
 def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
     """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
     if isinstance(initial, Resume):
-        return Progress(initial.state, initial.cause, initial.failed_at, initial.open, initial.next_step, initial.book)
+        return Progress(
+            initial.state,
+            initial.cause,
+            initial.failed_at,
+            initial.open,
+            initial.next_step,
+            initial.book,
+            initial.error,
+        )
     state, found = None if initial is None else stick.fitted(model, initial), jnp.asarray(True)
     if state is None:
         state = initial_state(model, scene)
@@ -53,7 +62,9 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     cause = jnp.where((cause == 0) & _is_across(model, state), ACROSS, cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
     dtype = state.time.dtype
-    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), balance.empty(dtype))
+    return Progress(
+        state, cause, failed_at, start, jnp.full((), FIRST, dtype), balance.empty(dtype), jnp.zeros((), dtype)
+    )
 
 
 def taken(
@@ -68,7 +79,7 @@ def taken(
 ) -> Progress:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
     before = carry.state
-    cause, book = faults.of_step(model, before, after, touching, kept, h), carry.book
+    (cause, leap), book = faults.of_step(model, before, after, touching, kept, h), carry.book
     if balance.is_kept(model):
         book, gained = balance.entered(model, book, before, pose(model, before), touching, kept, h)
         cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
@@ -85,6 +96,7 @@ def taken(
         open=jax.tree.map(lambda a, b: jnp.where(fine, a, b), opened, carry.open),
         next_step=carry.next_step,
         book=jax.tree.map(lambda a, b: jnp.where(fine, a, b), book, carry.book),
+        error=carry.error + jnp.where(fine, leap, 0.0),
     )
 
 

@@ -187,6 +187,7 @@ def _trajectory(
         sheets=sheets,
         rollers=rollers,
         guides=guides,
+        error=last.error,
         ok=last.cause == 0,
         failure=Failure(
             time=last.failed_at,

@@ -125,6 +125,11 @@ class Trajectory:
     sheets: dict[str, SheetTrack] = number(unit="", doc="by name")
     rollers: Parts[RollerTrack] = number(unit="", doc="by name")
     guides: Parts[GuideTrack] = number(unit="", doc="by name")
+    error: Any = number(
+        unit="mm",
+        doc="estimate of what the steps' length leaves in the sheet's place: half of each step at the speed gained in it, "
+        "summed; a stepper of higher order does better, a sheet that hits or buckles may do worse",
+    )
     ok: Any = number(unit="1", doc="bool: the run holds")
     failure: Failure = number(unit="", doc="time, part and cause if it does not")
     observed: dict[str, Any] = number(unit="", doc="what `observe` asked for")
@@ -135,7 +140,7 @@ class Trajectory:
 @record
 class Resume:
     """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s),
-    and the sheets' energy so far."""
+    the sheets' energy and the error so far."""
 
     state: State
     cause: Any
@@ -143,6 +148,7 @@ class Resume:
     open: dict[str, Any]
     next_step: Any
     book: Any
+    error: Any
 
 
 def join(pieces: list[Trajectory]) -> Trajectory:

@@ -25,6 +25,7 @@ from diffeed import (
 )
 from diffeed.parts import normalise
 from diffeed.paths import numbers, put
+from diffeed.records import replace
 
 Generator = np.random.Generator
 
@@ -298,7 +299,7 @@ def pair_of_sheets(rng: Generator) -> Scene:
 
 def skin(rng: Generator) -> Scene:
     """The nip again, with the smooth skin."""
-    return diffeed.replace(nip(rng), skin="smooth")
+    return replace(nip(rng), skin="smooth")
 
 
 # --- the shipped scenes, mutated -------------------------------------------------------------------------------------
