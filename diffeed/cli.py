@@ -222,6 +222,7 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
         "duration": scene.duration,
         "dt": dt,
         "steps": int(trajectory.steps),
+        "error": float(trajectory.error),
         "tolerance": ask.tolerance,
         "method": ask.method or DEFAULT,
         "precision": "float32" if ask.float32 else "float64",
