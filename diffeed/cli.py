@@ -151,7 +151,7 @@ def _run(ask: Request) -> int:
         set_up(ask.float32)
         say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
-        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance)
+        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
         with draft_of(ask.out) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
             return _finish(ask, scene, progress, draft)

@@ -10,9 +10,10 @@ from jax import Array, lax
 
 from diffeed import error_control
 from diffeed.candidates import search
+from diffeed.limits import MAX_STEPS, run_problem
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
-from diffeed.parts import Scene, normalise, warn_if_single
+from diffeed.parts import Scene, normalise, scene_size, warn_if_single
 from diffeed.progress import Progress, begin, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import by_guide, felt_by_bodies, look, part_names, roller_order, snapshot
@@ -77,6 +78,9 @@ def simulate(
     duration = scene.duration if duration is None else float(duration)
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST
     _refuse(duration, dt, frames, method, observe)
+    steps_of = dt if tolerance is None else None
+    if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
+        raise ValueError(problem)
     observe = tuple(sorted(set(observe)))
     if tolerance is None:
         counts = plan(duration, dt, frames)
@@ -107,6 +111,8 @@ def _refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -
         raise ValueError(
             f"most_steps must be a whole number of at least one per frame ({frames - 1}), but is {most_steps}"
         )
+    if most_steps > MAX_STEPS:
+        raise ValueError(f"most_steps must be at most {MAX_STEPS:,}, but is {most_steps:,}")
 
 
 @functools.partial(jax.jit, static_argnames=("counts", "method", "observe"))

@@ -1,14 +1,15 @@
 """STUDY files: TOML to a checked study. A file holds numbers and words; the scene it names is read as a scene file."""
 
 import os
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from diffeed import toml_text
 from diffeed.names import hint
+from diffeed.toml_text import TomlError
 from optimize.asked import StudyError
 from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
 from optimize.tolerance.records import Tolerance
@@ -71,17 +72,14 @@ def shipped_studies() -> dict[str, Path]:
 def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
     try:
         if not file.is_file():
-            raise StudyError([f"there is no such file, nor a shipped study of that name: {', '.join(known)}"], where)
-        data = file.read_bytes()[: MAX_BYTES + 1]
-        if len(data) > MAX_BYTES:
-            raise StudyError([f"the file must be <= {MAX_BYTES / 1e6:g} MB, but is larger"], where)
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except RecursionError:
-        raise StudyError(["the file nests tables or lists too deeply"], where) from None
-    except StudyError:
-        raise
-    except (OSError, ValueError) as error:
-        raise StudyError([f"the file is not readable TOML: {error}"], where) from None
+            raise TomlError(f"there is no such file, nor a shipped study of that name: {', '.join(known)}")
+        return toml_text.read(file, MAX_BYTES)
+    except TomlError as error:
+        raise StudyError([str(error)], where) from None
+    except (OSError, ValueError):  # a name too long, or with a zero byte in it
+        raise StudyError(
+            [f"there is no such file, nor a shipped study of that name: {', '.join(known)}"], where
+        ) from None
 
 
 def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseModel]) -> str:
