@@ -9,9 +9,9 @@ from jax import Array
 
 from diffeed.check_records import check_records
 from diffeed.contact_law import BRISTLE_LAG
-from diffeed.limits import run_problem
+from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
-from diffeed.parts import Scene, normalise, scene_size
+from diffeed.parts import Scene, normalise
 from diffeed.rollout import STEP
 from diffeed.snapshot import look
 from diffeed.state import State, initial_state

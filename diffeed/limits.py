@@ -3,6 +3,8 @@
 The limits are far above what a machine needs. They hold for anything that reads a file or starts a run.
 """
 
+from typing import Any
+
 MAX_BARS = 10_000
 """Of one sheet, and of all sheets together."""
 MAX_PARTS = 1_000
@@ -20,13 +22,19 @@ MAX_KEPT = 20_000_000
 """Frames times bars and parts that are kept of a run, or of all runs computed at once: about 200 bytes each."""
 
 
+def scene_size(scene: Any) -> int:
+    """Bars and parts of a sound scene: what is kept of each frame grows with it."""
+    bars = sum(int(sheet.bars) for sheet in scene.sheets.values())
+    return bars + sum(len(parts) for parts in vars(scene).values() if isinstance(parts, dict))
+
+
 def rest_problem(bars: int, bodies: int) -> str | None:
     """What is wrong with the size of a scene that starts settled."""
     if bars * bars * bodies <= MAX_REST:
         return None
     most = int((MAX_REST / bodies) ** 0.5)
     return (
-        f'sheets: with {bodies} rollers and guides a scene that starts settled must have at most {most} bars, but has {bars}; '
+        f"sheets: with {bodies} rollers and guides a scene that starts settled must have at most {most} bars, but has {bars}; "
         'initial = "given" starts as written'
     )
 

@@ -290,12 +290,6 @@ class Scene:
     goal: str = word(default="", doc="sensor that the tail must pass for the run to count as passed; empty: none")
 
 
-def scene_size(scene: "Scene") -> int:
-    """Bars and parts of a scene: what is kept of each frame grows with it."""
-    bars = sum(int(sheet.bars) for sheet in scene.sheets.values())
-    return bars + sum(len(getattr(scene, section)) for section in SECTIONS)
-
-
 def normalise(scene: Scene) -> Scene:
     """The one door: leaves become float arrays of the default dtype, vectors arrays of shape (2,), names sorted.
 

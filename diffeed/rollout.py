@@ -10,10 +10,10 @@ from jax import Array, lax
 
 from diffeed import error_control
 from diffeed.candidates import search
-from diffeed.limits import MAX_STEPS, run_problem
+from diffeed.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
-from diffeed.parts import Scene, normalise, scene_size, warn_if_single
+from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.progress import Progress, begin, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import by_guide, felt_by_bodies, look, part_names, roller_order, snapshot

@@ -137,7 +137,20 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
     """Its top names, and the modules that `diffeed` offers beside them."""
     import diffeed
 
-    offered = {"measures", "plot", "plot_style", "player", "tuning", "names", "terminal", "files", "folders", "toml_text", "limits", "words"}
+    offered = {
+        "measures",
+        "plot",
+        "plot_style",
+        "player",
+        "tuning",
+        "names",
+        "terminal",
+        "files",
+        "folders",
+        "toml_text",
+        "limits",
+        "words",
+    }
     for path in (PACKAGE.parent / "optimize").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "diffeed":
