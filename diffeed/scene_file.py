@@ -34,7 +34,12 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 def read_scene(text: str) -> Scene:
     """The scene of a scene file's text, as `scene_text` writes it."""
-    return _scene(_decode(text.encode(), "scene"), "scene")
+    return scene_of(text.encode("utf-8", "surrogatepass"), "scene")
+
+
+def scene_of(data: bytes, where: str) -> Scene:
+    """The scene of a scene file's bytes; `where` names it in a SceneError."""
+    return _scene(_decode(data, where), where)
 
 
 def _scene(table: dict[str, Any], where: str) -> Scene:

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 import diffeed
+from diffeed import scene_file
 from diffeed.check_records import SceneError, check_records
 from diffeed.parts import Scene
 from diffeed.scene_file import load_scene
@@ -48,6 +49,11 @@ def judged(kind: str, seed: int, folder: Path) -> tuple[str, str]:
     file.write_bytes(data)
     read = load_scene if kind == "scene" else read_study
     return _judge(lambda: read(file), f"{kind} {seed}"), data.decode("utf-8", "replace")
+
+
+def judged_bytes(data: bytes) -> None:
+    """What a fuzzer feeds, as a scene file. Raises Fault."""
+    _judge(lambda: scene_file.scene_of(data, "bytes"), "bytes")
 
 
 def read_study(file: Path) -> Any:

@@ -24,13 +24,15 @@ KEYS = (
 )  # fmt: skip
 LINES = (
     "[x]", "[[x]]", "[rollers]", "[[rollers]]", "[rollers.x]", "[sheets.x]", "[contacts.default]", "[search]",
-    "[[search.stages]]", "[limits.x]", "[tolerances.x]", "[media.x]", "[latitude.x]", "[robust]", "[variables.'../x']", "x = 1", "= 1", "x =", "[",
+    "[[search.stages]]", "[limits.x]", "[tolerances.x]", "[media.x]", "[latitude.x]",
+    "[robust]", "[variables.'../x']", "x = 1", "= 1", "x =", "[",
     '"', "'''",
     "\x00", "\x1b[2J", "a = " + "[" * 2000, "{", "#", "]", "\\", "\ufeff", "a" + ".a" * 100 + " = 1",
 )  # fmt: skip
 OBJECTS: tuple[Callable[[], Any], ...] = (
     lambda: None, lambda: True, lambda: -1, lambda: 0, lambda: 10**400, lambda: 10**5000, lambda: float("nan"),
-    lambda: float("inf"), lambda: 1e308, lambda: 1j, lambda: "", lambda: "x\n\x1b[2J", lambda: "x" * 5000, lambda: b"x", lambda: object(),
+    lambda: float("inf"), lambda: 1e308, lambda: 1j, lambda: "", lambda: "x\n\x1b[2J", lambda: "x" * 5000, lambda: b"x",
+    lambda: object(),
     lambda: object,
     lambda: [object()], lambda: [], lambda: [[]], lambda: [[1.0], 2.0], lambda: (1.0, None), lambda: {}, lambda: {"a": 1},
     lambda: {1: 2}, lambda: {"a\nb": {}}, lambda: datetime.date(2024, 1, 1), lambda: np.array("x"), lambda: np.zeros((0, 2)),
