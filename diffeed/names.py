@@ -9,7 +9,7 @@ from diffeed.words import LONGEST, quoted
 def nearest(name: object, known: Iterable[str]) -> str:
     """The end of a sentence: the known name that is most like this one, or nothing."""
     like = [k for k in known if len(k) <= LONGEST]
-    near = difflib.get_close_matches(str(name)[:LONGEST], like, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name[:LONGEST], like, n=1, cutoff=0.5) if isinstance(name, str) else []
     return f"; did you mean {quoted(near[0])}?" if near else ""
 
 
