@@ -106,7 +106,7 @@ class Journal:
 
     def _read(self, path: Path) -> Progress:
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files}
             if str(arrays["fingerprint"]) != fingerprint(self.problem):
                 raise JournalError(

@@ -1,5 +1,6 @@
 """Files and records harmed at random: each must be read, or be refused with plain sentences. Nothing else, and at once."""
 
+import functools
 import random
 import re
 import signal
@@ -23,7 +24,7 @@ from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, read_table
 from optimize.tolerance.problem import load_tolerance
 from tests.search.mutations import harmed_record, harmed_text
-from tests.search.seeds import scenes, studies
+from tests.search.seeds import ALL_KINDS, scenes, studies
 
 LONGEST = 2
 """s of computing that one file may take."""
@@ -69,9 +70,8 @@ def read_study(file: Path) -> Any:
         diffeed.check = whole
 
 
+@functools.cache
 def _records() -> list[Scene]:
-    from tests.search.seeds import ALL_KINDS
-
     return [diffeed.read_scene(ALL_KINDS), load_scene("film_feeder")]
 
 

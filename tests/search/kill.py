@@ -92,8 +92,8 @@ COMMANDS = {
     "run --force": Command(
         ("-m", "diffeed.cli", "run", "strip.toml", "--frames", "3", "--force"), "summary.json", "--force", False
     ),
-    "design": Command(("-m", "optimize", "design", "design.toml"), "result.json", "--resume"),
-    "tolerance": Command(("-m", "optimize", "tolerance", "tolerance.toml", "--chunk", "2"), "result.json", "--resume"),
+    "design": Command(("-m", "optimize", "design", "design.toml", "--no-pictures"), "result.json", "--resume"),
+    "tolerance": Command(("-m", "optimize", "tolerance", "tolerance.toml", "--chunk", "4"), "result.json", "--resume"),
     "latitude": Command(("-m", "optimize", "latitude", "tolerance.toml"), "latitude.json", "--force"),
 }
 
