@@ -72,5 +72,8 @@ def _ours(descriptor: int, draft: Path) -> bool:
 
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return os.path.samestat(os.fstat(descriptor), draft.stat())
-    except (ImportError, OSError):
+    except (BlockingIOError, FileNotFoundError):  # another process writes it, or has just written it
+        return False
+    except (ImportError, OSError):  # no locks here: nobody uses a draft of that name
+        draft.unlink(missing_ok=True)
         return False

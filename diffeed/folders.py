@@ -154,6 +154,8 @@ def _beside(target: Path, folder: Path) -> tuple[Path, Lock]:
                 f"{folder} is being written by another run; wait for its end, or name another folder"
             ) from None
         if lock.descriptor is None:
+            with contextlib.suppress(OSError):
+                draft.rmdir()
             draft = target.with_name(f".{target.name}.{uuid.uuid4().hex}{DRAFT}")
             draft.mkdir()
             return draft, lock
