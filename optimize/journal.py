@@ -19,7 +19,7 @@ import numpy as np
 from diffeed.files import plain, replacing, write_whole
 from diffeed.folders import Lock, OutputError, plain_errors
 from diffeed.words import short
-from optimize.descent import Line, Progress, begin
+from optimize.descent import Line, Progress, begin, stop
 from optimize.evaluate import Counts
 from optimize.problem import Problem
 
@@ -79,6 +79,11 @@ class Journal:
             )
         if resume and state.exists():
             progress = self._read(state)
+            if progress.reason and (self.folder / SUMMARY).exists():
+                progress.reason = ""  # its result is written: more is wanted
+            elif progress.reason:  # it had ended, but for its result: it goes on only if the budgets have grown
+                progress.reason = ""
+                stop(self.problem, progress)
             lines = history.read_text("utf-8").splitlines()[: progress.iteration] if history.exists() else []
         else:
             progress, lines = begin(self.problem), []
@@ -136,10 +141,9 @@ def _pack(progress: Progress, mark: str) -> dict[str, np.ndarray]:
 
 
 def _unpack(arrays: dict[str, np.ndarray], problem: Problem) -> Progress:
-    """A search that had ended goes on: its reason is not kept."""
     fresh = begin(problem)
     kinds = {f.name: type(getattr(fresh, f.name)) for f in dataclasses.fields(Progress)}
     given: dict[str, Any] = {n: kinds[n](arrays[n]) if kinds[n] in (int, float) else arrays[n] for n in _ARRAYS}
     leaves, structure = jax.tree.flatten(fresh.state)
     state = structure.unflatten([arrays[f"state.{k}"] for k in range(len(leaves))])
-    return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])))
+    return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])), reason=str(arrays["reason"]))

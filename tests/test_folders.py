@@ -1,12 +1,14 @@
 """Folders of results: one writer, whole files, drafts that are known and removed, plain sentences for a disk that will not."""
 
 import contextlib
+import dataclasses
 import errno
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 from click.testing import CliRunner
 from test_cli import MINI, command
@@ -257,6 +259,32 @@ def test_a_summary_goes_before_a_search_goes_on(tmp_path, problem):
     kept.start(resume=False, force=True)
     kept.close()
     assert not (tmp_path / "result.json").exists()
+
+
+def test_a_search_that_ended_before_its_result_was_written_is_not_searched_on(tmp_path, problem):
+    """Found by the killer: an iteration more, and another result. A result that is written asks for more, as do new budgets."""
+    from optimize import descent
+
+    short = dataclasses.replace(
+        problem,
+        study=problem.study.model_copy(update={"search": problem.study.search.model_copy(update={"iterations": 1})}),
+    )
+    kept = Journal(tmp_path, short)
+    with jax.numpy_dtype_promotion("standard"):  # optax counts steps in whole numbers
+        assert len(list(descent.search(short, kept.start(resume=False, force=False), kept.save))) == 1
+    kept.close()
+
+    def reason(asked):
+        again = Journal(tmp_path, asked)
+        found = again.start(resume=True, force=False)
+        again.close()
+        assert found.iteration == 1
+        return found.reason
+
+    assert reason(short) == "1 iterations are done"
+    assert reason(problem) == ""
+    (tmp_path / "result.json").write_text("{}")
+    assert reason(short) == ""
 
 
 def test_a_full_disk_ends_a_search_with_one_sentence(tmp_path, problem, monkeypatch):

@@ -259,6 +259,12 @@ def first_difference(a: Any, b: Any, path: str = "") -> str:
         if a.keys() != b.keys():
             return f"{path}: {sorted(set(a) ^ set(b))}"
         return next((d for k in a if (d := first_difference(a[k], b[k], f"{path}/{k}"))), "")
+    if isinstance(a, list) and isinstance(b, list):
+        if len(a) != len(b):
+            return f"{path}: {len(a)} and {len(b)} entries"
+        return next(
+            (d for k, (x, y) in enumerate(zip(a, b, strict=True)) if (d := first_difference(x, y, f"{path}/{k}"))), ""
+        )
     same = a == b or (isinstance(a, float) and isinstance(b, float) and np.isnan(a) and np.isnan(b))
     return "" if same else f"{path}: {str(a)[:80]} and {str(b)[:80]}"
 
