@@ -3,14 +3,14 @@
 The geometry between parts is judged elsewhere; here each value, each record and the names between them.
 """
 
-import re
 from collections.abc import Iterator
 from typing import Any
 
-from diffeed.check_rules import RULES, bars_of
+from diffeed.check_rules import RULES, bars_of, size_problems
 from diffeed.check_values import VARYING, Field, number_problem, show, word_problem
 from diffeed.parts import Profile, Scene, Sheet, normalise
 from diffeed.records import fields
+from diffeed.words import key_text, name_problem
 
 
 class SceneError(ValueError):
@@ -33,7 +33,8 @@ def check_records(scene: Any) -> list[str]:
     """
     if not isinstance(scene, Scene):
         return [f"a Scene is needed, but this is {show(scene)}"]
-    return list(_record_problems("", scene, scene))
+    too_many = list(size_problems(scene))  # more would take time and memory to look at
+    return too_many or list(_record_problems("", scene, scene))
 
 
 def checked(scene: Scene) -> Scene:
@@ -79,12 +80,12 @@ def _parts_problems(path: str, value: Any, field: Field, scene: Scene) -> Iterat
     else:
         for name, part in value.items():
             yield from _name_problems(path, name)
-            yield from _part_problems(f"{path}.{name}", part, field, scene)
+            yield from _part_problems(f"{path}.{key_text(name)}", part, field, scene)
 
 
 def _name_problems(section: str, name: Any) -> Iterator[str]:
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_]+", name):
-        yield f"{section}: a name must be made of letters A-Z a-z, digits and _, but is {show(name)}"
+    if problem := name_problem(name):
+        yield f"{section}: {problem}"
 
 
 def _part_problems(path: str, part: Any, field: Field, scene: Scene) -> Iterator[str]:

@@ -3,14 +3,16 @@
 A rule speaks only where the fields it reads are right in themselves, so that one mistake gives one sentence.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from diffeed.check_values import measure, show, sound
+from diffeed.limits import MAX_BARS, MAX_PAIRS, MAX_PARTS, MAX_POINTS, rest_problem
 from diffeed.names import hint
 from diffeed.parts import (
+    SECTIONS,
     ArcGuide,
     CircleGuide,
     Clamp,
@@ -28,7 +30,6 @@ from diffeed.parts import (
 from diffeed.records import fields
 
 Rule = Callable[[str, Any, Scene], Iterator[str]]
-MAX_BARS = 10_000
 
 
 def names(scene: Scene, section: str) -> list[str]:
@@ -41,6 +42,27 @@ def bars_of(sheet: Sheet) -> int | None:
     """The number of bars, if it is one that can be used."""
     right = isinstance(sheet.bars, (int, np.integer)) and not isinstance(sheet.bars, bool)
     return int(sheet.bars) if right and 1 <= sheet.bars <= MAX_BARS else None
+
+
+def size_problems(scene: Scene) -> Iterator[str]:
+    """Of a scene that is too large to be looked at part by part."""
+    parts = _count(scene, SECTIONS)
+    if parts > MAX_PARTS:
+        yield f"a scene must have at most {MAX_PARTS} parts, but has {parts}"
+    sheets = scene.sheets.values() if isinstance(scene.sheets, dict) else ()
+    bars = sum(bars_of(s) or 0 for s in sheets if isinstance(s, Sheet))
+    if len(sheets) > 1 and bars > MAX_BARS:
+        yield f"sheets must have at most {MAX_BARS} bars together, but have {bars}"
+    bodies = _count(scene, ("rollers", "guides"))
+    if bars * bodies > MAX_PAIRS:
+        yield f"bars times rollers and guides must be at most {MAX_PAIRS}, but {bars} x {bodies} are {bars * bodies}"
+    elif isinstance(scene.initial, str) and scene.initial == "settled" and (problem := rest_problem(bars, bodies)):
+        yield problem
+
+
+def _count(scene: Scene, sections: Iterable[str]) -> int:
+    found = (getattr(scene, s) for s in sections)
+    return sum(len(parts) for parts in found if isinstance(parts, dict))
 
 
 def _duration(path: str, scene: Scene, _: Scene) -> Iterator[str]:
@@ -164,7 +186,13 @@ def _equal_lengths(path: str, series: Any, _: Scene) -> Iterator[str]:
             yield f"{path}.{f.name} must have one entry for each of the {n} times, but has {found.shape[0]}"
 
 
-_SERIES: tuple[Rule, ...] = (_increasing, _equal_lengths)
+def _not_too_many(path: str, series: Any, _: Scene) -> Iterator[str]:
+    count = len(series.times) if isinstance(series.times, (list, tuple)) else np.size(series.times)
+    if count > MAX_POINTS:
+        yield f"{path}.times must have at most {MAX_POINTS} entries, but has {count}"
+
+
+_SERIES: tuple[Rule, ...] = (_increasing, _equal_lengths, _not_too_many)
 RULES: dict[type, tuple[Rule, ...]] = {
     Scene: (_some_sheet, _duration, _goal),
     Sheet: (_bar_count, _bar_length),

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import reprlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 
 from diffeed.parts import Motion, Profile
+from diffeed.words import quoted, short
 
 Field = dataclasses.Field[Any]
 Sizes = Mapping[str, int]
@@ -19,8 +19,6 @@ VARYING = ("angular_speed", "surface_speed")
 """Number fields that may be a profile."""
 
 _BOUNDS = {"positive": "> 0", "nonnegative": ">= 0"}
-_SHORT = reprlib.Repr()
-_SHORT.maxother = _SHORT.maxstring = 60
 
 
 class Numbers(NamedTuple):
@@ -81,14 +79,14 @@ def _show(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + (value if len(value) <= 60 else value[:57] + "...") + '"'
+        return quoted(value)
     if isinstance(value, Tracer):
         return "a value that JAX traces"
     if isinstance(value, (np.generic, np.ndarray, jax.Array)):
-        return _SHORT.repr(value.tolist())
+        return short(value.tolist())
     if isinstance(value, (dict, Profile, Motion)):
         return "a table" if isinstance(value, dict) else f"a {type(value).__name__.lower()}"
-    return f"a {type(value).__name__}" if dataclasses.is_dataclass(value) else _SHORT.repr(value)
+    return f"a {type(value).__name__}" if dataclasses.is_dataclass(value) else short(value)
 
 
 def quote(choices: Any) -> str:

@@ -142,17 +142,19 @@ main.add_command(advise)
 
 
 def _run(ask: Request) -> int:
-    from diffeed.outputs import OutputError, draft_of, refuse_overwriting
+    from diffeed.folders import OutputError, draft_of, refuse_overwriting
+    from diffeed.outputs import FILES
 
+    kept = () if ask.force else FILES
     with refusing(OutputError):
-        if ask.out and not ask.force:
-            refuse_overwriting(ask.out)
+        if ask.out:
+            refuse_overwriting(ask.out, kept)  # at once
         begun = time.perf_counter()
         set_up(ask.float32)
         say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
-        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance)
-        with draft_of(ask.out) if ask.out else nullcontext() as draft:
+        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
+        with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
             return _finish(ask, scene, progress, draft)
 

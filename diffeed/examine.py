@@ -11,9 +11,11 @@ from jax.flatten_util import ravel_pytree
 from diffeed.check_records import check_records
 from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
+from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
 from diffeed.records import replace
+from diffeed.rollout import STEP
 from diffeed.snapshot import look
 from diffeed.state import State, initial_state
 from diffeed.statics import settle_model
@@ -21,11 +23,16 @@ from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS, midpoint, 
 
 
 def check(
-    scene: Scene, dt: float | None = None, method: str | None = None, tolerance: float | None = None
+    scene: Scene,
+    dt: float | None = None,
+    method: str | None = None,
+    tolerance: float | None = None,
+    frames: int | None = None,
 ) -> list[str]:
     """Every problem of a scene, each naming its part and field, the value and what it must be; empty if it is sound.
 
-    With `dt` (s), `method` or `tolerance` (mm), also whether the method can take such steps.
+    With `dt` (s), `method` or `tolerance` (mm), also whether the method can take such steps; with `frames`, also whether a
+    run of the scene's duration that keeps so many is of a size that can be run.
     """
     problems = check_records(scene)
     method = DEFAULT if method is None else method
@@ -41,6 +48,10 @@ def check(
     if problems:
         return problems
     scene = normalise(scene)
+    if dt is not None or frames is not None:
+        longest = None if tolerance is not None else STEP if dt is None else dt
+        if problem := run_problem(float(scene.duration), longest, frames, scene_size(scene)):
+            return [problem]
     model, before, state, found, now = prepare(scene)
     problems = _deep(model, before, "starts", allowed=0.5)
     if scene.initial == "settled" and not problems:

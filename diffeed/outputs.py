@@ -1,16 +1,13 @@
-"""The files of a run in one folder, written beside it first and then moved into place."""
+"""The files of a run in one folder."""
 
 import json
-import os
-import shutil
-import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diffeed.folders import write_all
 from diffeed.parts import Scene
 from diffeed.records import fields
 from diffeed.trajectory import Trajectory
@@ -21,47 +18,9 @@ PICTURES = ("machine.png", "paths.png", "slip.png", "nip_forces.png")
 FILES = (*PICTURES, "player.html", "data.npz", "scene.toml", SUMMARY)
 
 
-class OutputError(Exception):
-    """Files cannot be written, or must not be."""
-
-
-def refuse_overwriting(folder: Path, files: tuple[str, ...] = FILES) -> None:
-    """Nothing is overwritten without being asked to."""
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"{folder} is a file; name a folder for the results")
-    there = [name for name in files if (folder / name).exists()]
-    if there:
-        raise OutputError(
-            f"{folder} already holds {', '.join(there)}; name another folder, or add --force to replace them"
-        )
-
-
-@contextmanager
-def draft_of(folder: Path) -> Iterator[Path]:
-    """An empty folder beside `folder`, gone at the end whatever happens. Opened early, to fail before a long run."""
-    target = folder.absolute()
-    draft = target.parent / f".{target.name}.{uuid.uuid4().hex[:12]}.part"
-    with _plain_errors(f"cannot write to {folder}"):
-        draft.mkdir(parents=True)
-    try:
-        yield draft
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-
-
 def write_files(draft: Path, folder: Path, scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> list[str]:
     """Write every file of the run and move them to `folder`; the names of the files."""
     return write_all(draft, folder, _writers(scene, trajectory, summary), FILES)
-
-
-def write_all(
-    draft: Path, folder: Path, writers: dict[str, Callable[[Path], Any]], files: tuple[str, ...]
-) -> list[str]:
-    """Write into the draft, then move to `folder`, in place of all `files` of an earlier run; the names written."""
-    with _plain_errors(f"the results were not written to {folder}"):
-        for name, write in writers.items():
-            write(draft / name)
-        return _publish(draft, folder, files)
 
 
 def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
@@ -104,24 +63,3 @@ def picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
     from diffeed import plot_style
 
     return lambda path: plot_style.save(path, draw)
-
-
-def _publish(draft: Path, folder: Path, files: tuple[str, ...]) -> list[str]:
-    """Move the draft into place: in one go if there is no such folder yet, else file by file, the last of `files` last."""
-    names = [name for name in files if (draft / name).exists()]
-    if not folder.exists():
-        os.rename(draft, folder)
-        return names
-    for name in reversed(files):
-        (folder / name).unlink(missing_ok=True)
-    for name in names:
-        os.replace(draft / name, folder / name)
-    return names
-
-
-@contextmanager
-def _plain_errors(what: str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{what}: {error.strerror or error}") from error

@@ -18,6 +18,8 @@ from diffeed.parts import OF_THE_FIELD, Motion, Profile, Scene
 from diffeed.records import fields, replace
 
 T = TypeVar("T")
+LONGEST = 300
+"""Characters of a path; it is quoted whole."""
 _PATH = re.compile(r"([A-Za-z0-9_]+(?:\.[A-Za-z0-9_]+)*)((?:\[[0-9]{1,9}\])*)")
 
 
@@ -75,7 +77,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     """Path and value of `rollers.drive_1.radius=10.2`. Values read as in a scene file; a bare word is a word."""
     path, equals, raw = (t.strip() for t in text.partition("="))
     if not equals or not raw:
-        raise PathError(f'an assignment must read PATH=VALUE, but is "{text}"')
+        raise PathError(f"an assignment must read PATH=VALUE, but is {show(text)}")
     _split(path)
     return path, _parse_value(raw)
 
@@ -92,7 +94,7 @@ def _parse_value(raw: str) -> Any:
 
 
 def _split(path: str) -> tuple[list[str], tuple[int, ...]]:
-    match = _PATH.fullmatch(path) if isinstance(path, str) else None
+    match = _PATH.fullmatch(path) if isinstance(path, str) and len(path) <= LONGEST else None
     if match is None:
         raise PathError(f"a path must read like rollers.pinch_1.preload or guides.turn.center[1], but is {show(path)}")
     return match[1].split("."), tuple(int(i) for i in re.findall(r"[0-9]+", match[2]))

@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from diffeed.files import write_whole
 from diffeed.parts import Scene
 from diffeed.player_data import run_data
 
@@ -26,7 +27,7 @@ def write_player(
     `compare` is (scene, trajectory) of a second run, drawn over the first; `labels` names the first and the second.
     """
     target = Path(path)
-    target.write_text(page(scene, trajectory, compare, title, labels), encoding="utf-8")
+    write_whole(target, page(scene, trajectory, compare, title, labels))
     return target
 
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffeed.files import replacing
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -88,6 +90,7 @@ def save(path: Path, draw: "Callable[[], Axes]") -> None:
 
     figure = draw().figure
     try:
-        figure.savefig(path)  # type: ignore[union-attr]
+        with replacing(path) as stream:
+            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png")  # type: ignore[union-attr]
     finally:
         pyplot.close(figure)  # type: ignore[arg-type]

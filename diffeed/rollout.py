@@ -15,6 +15,7 @@ from diffeed.causes import ACROSS, NO_REST, TOO_DEEP, UNRESOLVED
 from diffeed.contact import keep_all
 from diffeed.crossing import guides_crossed
 from diffeed.faults import severity
+from diffeed.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
 from diffeed.parts import Scene, normalise, warn_if_single
@@ -82,6 +83,9 @@ def simulate(
     duration = scene.duration if duration is None else float(duration)
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST
     _refuse(duration, dt, frames, method, observe)
+    steps_of = dt if tolerance is None else None
+    if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
+        raise ValueError(problem)
     observe = tuple(sorted(set(observe)))
     if tolerance is None:
         counts = plan(duration, dt, frames)
@@ -117,6 +121,8 @@ def _refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -
         raise ValueError(
             f"most_steps must be a whole number of at least one per frame ({frames - 1}), but is {most_steps}"
         )
+    if most_steps > MAX_STEPS:
+        raise ValueError(f"most_steps must be at most {MAX_STEPS:,}, but is {most_steps:,}")
 
 
 @functools.partial(jax.jit, static_argnames=("counts", "method", "observe"))

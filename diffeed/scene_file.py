@@ -3,7 +3,6 @@
 import importlib.resources
 import json
 import os
-import tomllib
 from collections.abc import Iterator
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -11,14 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from diffeed import toml_text
 from diffeed.check_records import SceneError, check_records, checked
 from diffeed.check_values import VARYING, Field, quote, show
 from diffeed.files import write_whole
+from diffeed.limits import MAX_PARTS
 from diffeed.names import hint, nearest
 from diffeed.parts import SECTIONS, Profile, Scene, normalise
 from diffeed.records import REQUIRED, fields
+from diffeed.toml_text import TomlError
+from diffeed.words import key_text
 
 MAX_BYTES = 10_000_000
+MOST_PROBLEMS = 200
+"""Unknown fields that are told one by one: for each the nearest known one is looked up."""
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
@@ -29,7 +34,12 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 def read_scene(text: str) -> Scene:
     """The scene of a scene file's text, as `scene_text` writes it."""
-    return _scene(_decode(text.encode(), "scene"), "scene")
+    return scene_of(text.encode("utf-8", "surrogatepass"), "scene")
+
+
+def scene_of(data: bytes, where: str) -> Scene:
+    """The scene of a scene file's bytes; `where` names it in a SceneError."""
+    return _scene(_decode(data, where), where)
 
 
 def _scene(table: dict[str, Any], where: str) -> Scene:
@@ -88,30 +98,23 @@ def _find(where: str) -> Traversable:
 
 def _parse(file: Traversable, where: str) -> dict[str, Any]:
     try:
-        with file.open("rb") as stream:
-            return _decode(stream.read(MAX_BYTES + 1), where)
-    except OSError as error:
-        raise SceneError([f"the file is not readable TOML: {error}"], where) from None
+        return toml_text.read(file, MAX_BYTES)
+    except TomlError as error:
+        raise SceneError([str(error)], where) from None
 
 
 def _decode(data: bytes, where: str) -> dict[str, Any]:
     try:
-        if len(data) > MAX_BYTES:
-            raise SceneError([f"the file must be <= {MAX_BYTES / 1e6:g} MB, but is larger"], where)
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except SceneError:
-        raise
-    except RecursionError:
-        raise SceneError(["the file nests tables or lists too deeply"], where) from None
-    except ValueError as error:
-        raise SceneError([f"the file is not readable TOML: {error}"], where) from None
+        return toml_text.decode(data, MAX_BYTES)
+    except TomlError as error:
+        raise SceneError([str(error)], where) from None
 
 
 def _read(kind: type, path: str, table: dict[str, Any], problems: list[str]) -> Any:
     """A record of raw values; unknown keys are reported and dropped, missing fields become None for the check."""
     known = {f.name: f for f in fields(kind)}
     for key in table:
-        if key not in known:
+        if key not in known and len(problems) < MOST_PROBLEMS:
             problems.append(f"{_join(path, key)} is not a field of {kind.__name__}{hint(key, known)}")
     given = [f for f in known.values() if f.name in table or _required(f)]
     return kind(**{f.name: _read_value(_join(path, f.name), f, table.get(f.name), problems) for f in given})
@@ -129,8 +132,11 @@ def _read_value(path: str, field: Field, value: Any, problems: list[str]) -> Any
 
 def _read_section(section: str, table: dict[str, Any], problems: list[str]) -> Iterator[tuple[str, Any]]:
     kinds = SECTIONS[section]
+    if len(table) > MAX_PARTS:
+        problems.append(f"{section} must hold at most {MAX_PARTS} parts, but holds {len(table)}")
+        return
     for name, part in table.items():
-        path, word = f"{section}.{name}", next(iter(kinds))
+        path, word = _join(section, name), next(iter(kinds))
         if not isinstance(part, dict):
             yield name, part
             continue
@@ -153,7 +159,7 @@ def _required(field: Field) -> bool:
 
 
 def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name
+    return f"{path}.{key_text(name)}" if path else key_text(name)
 
 
 # Writing

@@ -49,6 +49,7 @@ def load_sound(
     dt: float | None,
     method: str | None,
     tolerance: float | None = None,
+    frames: int | None = None,
 ) -> "Scene":
     from diffeed.check_records import SceneError, checked
     from diffeed.paths import PathError, assign
@@ -56,7 +57,7 @@ def load_sound(
 
     with refusing(SceneError, PathError):
         scene = replace(assign(diffeed.load_scene(where), assignments), **changes)
-        problems = patiently(lambda: diffeed.check(scene, dt, method, tolerance))
+        problems = patiently(lambda: diffeed.check(scene, dt, method, tolerance, frames))
         if problems:
             raise SceneError(problems, where)
         return checked(scene)

@@ -7,8 +7,10 @@ import numpy as np
 from jax import Array
 
 import diffeed
+from diffeed.limits import run_problem, scene_size
 from diffeed.names import hint, nearest
-from optimize.records import Limit, Measured
+from diffeed.words import quoted, short
+from optimize.records import Limit, Measured, Runs
 from optimize.terms import TERMS, Term
 
 
@@ -67,7 +69,18 @@ def changed(scene: diffeed.Scene, changes: dict[str, Any], where: str, problems:
 
 def shown(value: Any) -> str:
     """A value in a message."""
-    return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else repr(value)
+    return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else short(value)
+
+
+def run_problems(study: Runs, scene: diffeed.Scene, where: str, problems: list[str], runs: int = 1) -> None:
+    """Add what `diffeed.check` finds in a scene that is to be run as a study asks; `runs` are computed at once."""
+    if study.duration is not None:
+        scene = diffeed.put(scene, "duration", study.duration)
+    dt, method, tolerance = study.dt, study.method, study.step_tolerance
+    found = diffeed.check(scene, dt, method, tolerance, study.frames)
+    if not found and (problem := run_problem(scene.duration, None, study.frames, scene_size(scene), runs)):
+        found = [problem]
+    problems += [f"{where}: {p}" if where else p for p in found]
 
 
 def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, problems: list[str]) -> Asked | None:
@@ -75,7 +88,7 @@ def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, prob
     where = f"{section}.{name}"
     if spec.measure not in TERMS:
         problems.append(
-            f'{where}.measure must be one of {", ".join(TERMS)}, but is "{spec.measure}"{nearest(spec.measure, TERMS)}'
+            f"{where}.measure must be one of {', '.join(TERMS)}, but is {quoted(spec.measure)}{nearest(spec.measure, TERMS)}"
         )
         return None
     term, before = TERMS[spec.measure], len(problems)
@@ -103,5 +116,5 @@ def _parts(where: str, term: Term, spec: Measured, scene: diffeed.Scene, problem
         problems.append(f"{where}.of must name one or more {term.of}: {', '.join(sorted(known))}")
     for part in named:
         if part not in known:
-            problems.append(f'{where}.of: there is no "{part}" among the {term.of}{hint(part, known)}')
+            problems.append(f"{where}.of: there is no {quoted(part)} among the {term.of}{hint(part, known)}")
     return tuple(named)

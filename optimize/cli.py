@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from diffeed.folders import OutputError, holding, plain_errors, publishing
 from diffeed.terminal import SETTINGS, Refusal, console, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
@@ -16,6 +17,7 @@ FUSE = click.option(
     is_flag=True,
     help="Gradients in half the time; on some machines the compiler needs too much memory for it.",
 )
+FORCE = click.option("--force", is_flag=True, help="Replace what --out holds.")
 
 
 @click.group(context_settings=SETTINGS)
@@ -64,20 +66,23 @@ def design(
     from optimize.journal import JournalError
     from optimize.report import print_result, write_result
 
-    with _bar(problem) as show, refusing(JournalError):
-        result = run(problem, out, resume, force, show)
-    print_result(console(), result)
-    if out:
-        names = write_result(out, result, not no_pictures)
-        click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
+    with refusing(JournalError, OutputError), holding(out):
+        with _bar(problem) as show:
+            result = run(problem, out, resume, force, show)
+        print_result(console(), result)
+        if out:
+            with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
+                names = write_result(out, result, not no_pictures)
+            click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
 
 
 @main.command(context_settings=SETTINGS)
 @STUDY
 @FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the table, as text and as numbers.")
+@FORCE
 @click.option("--samples", type=click.IntRange(8, 4096), default=64, show_default=True, help="Runs for each trend.")
-def check(study: str, fuse: bool, out: Path | None, samples: int) -> None:
+def check(study: str, fuse: bool, out: Path | None, force: bool, samples: int) -> None:
     """May the gradients of a study be believed? Both modes, differences, and the trend over a designer's step.
 
     \b
@@ -85,24 +90,26 @@ def check(study: str, fuse: bool, out: Path | None, samples: int) -> None:
       python -m optimize check nip_slip
     """
     problem = _problem(study, fuse, {})
-    from optimize.trust import check_study
+    from optimize.trust import FILES, check_study, write_check
 
-    found = check_study(problem, samples)
-    click.echo(str(found))
+    with refusing(OutputError), publishing(out, FILES, force) as draft:
+        found = check_study(problem, samples)
+        click.echo(str(found))
+        if draft:
+            write_check(draft, found)
     if out:
-        from optimize.trust import write_check
-
-        click.echo(f"written to {out}: {', '.join(write_check(out, found))}")
+        click.echo(f"written to {out}: {', '.join(FILES)}")
 
 
 @main.command(context_settings=SETTINGS)
 @STUDY
 @FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for comparison.json and comparison.png.")
+@FORCE
 @click.option(
     "--budget", type=click.IntRange(10), default=1500, show_default=True, help="Most simulations of each search."
 )
-def compare(study: str, fuse: bool, out: Path | None, budget: int) -> None:
+def compare(study: str, fuse: bool, out: Path | None, force: bool, budget: int) -> None:
     """Simulations that the gradient needs, beside differential evolution and Nelder-Mead on the same objective.
 
     \b
@@ -110,13 +117,16 @@ def compare(study: str, fuse: bool, out: Path | None, budget: int) -> None:
       python -m optimize compare nip_slip --budget 500
     """
     problem = _problem(study, fuse, {})
+    from optimize.compare import FILES, table, write_comparison
     from optimize.compare import compare as run
-    from optimize.compare import table, write_comparison
 
-    found = run(problem, budget, lambda text: click.echo(text, err=True))
-    click.echo(table(found))
+    with refusing(OutputError), publishing(out, FILES, force) as draft:
+        found = run(problem, budget, lambda text: click.echo(text, err=True))
+        click.echo(table(found))
+        if draft:
+            write_comparison(draft, found)
     if out:
-        click.echo(f"written to {out}: {', '.join(write_comparison(out, found))}")
+        click.echo(f"written to {out}: {', '.join(FILES)}")
 
 
 @main.command(context_settings=SETTINGS)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed import plot_style
+from diffeed.files import write_whole
 from optimize.descent import Progress, begin, search
 from optimize.evaluate import Evaluator
 from optimize.problem import Problem, Settings, loss
@@ -169,6 +170,10 @@ def table(found: Comparison) -> str:
     return "\n".join(lines)
 
 
+FILES = ("comparison.png", "comparison.json")
+"""The last is written last."""
+
+
 def write_comparison(folder: Path, found: Comparison) -> list[str]:
     """Numbers and a picture."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -177,9 +182,9 @@ def write_comparison(folder: Path, found: Comparison) -> list[str]:
         for t in found.traces
     }
     data = {"target": found.target, "gradient_cost": found.ratio, "variables": found.variables, "searches": rows}
-    (folder / "comparison.json").write_text(json.dumps(data, indent=2) + "\n", "utf-8")
     plot_style.save(folder / "comparison.png", lambda: picture(found))
-    return ["comparison.json", "comparison.png"]
+    write_whole(folder / "comparison.json", json.dumps(data, indent=2) + "\n")
+    return list(FILES)
 
 
 def _falls(trace: Trace) -> list[list[float]]:

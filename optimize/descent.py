@@ -125,7 +125,7 @@ def search(
         progress.counts = evaluator.counts
         progress.seconds += time.monotonic() - begun
         line = _line(problem, progress, found)
-        _stop(problem, progress)
+        stop(problem, progress)
         save(progress, line)
         yield progress, line
 
@@ -270,7 +270,7 @@ def _line(problem: Problem, progress: Progress, found: Evaluated) -> Line:
     )  # fmt: skip
 
 
-def _stop(problem: Problem, progress: Progress) -> None:
+def stop(problem: Problem, progress: Progress) -> None:
     """Set the reason, or move on to the next stage."""
     search, stages = problem.study.search, stages_of(problem)
     done = sum(s.iterations for s in stages[: progress.stage + 1])

@@ -77,7 +77,7 @@ def design(
     problem = study if isinstance(study, Problem) else make_problem(study, scene=scene)
     journal = Journal(Path(folder), problem) if folder is not None else None
     progress = journal.start(resume, force) if journal else begin(problem)
-    history: list[dict[str, Any]] = []
+    history: list[dict[str, Any]] = list(journal.earlier) if journal else []
     try:
         for _, line in search(problem, progress, journal.save if journal else lambda p, line: None):
             history.append(line._asdict())

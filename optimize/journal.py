@@ -4,26 +4,41 @@
 one line too many, which resuming cuts off. Arrays only: nothing is unpickled.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
-import os
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from diffeed.files import plain, write_whole
-from optimize.descent import Line, Progress, begin
+from diffeed.files import plain, replacing, write_whole
+from diffeed.folders import Lock, OutputError, plain_errors
+from diffeed.words import short
+from optimize.descent import Line, Progress, begin, stop
 from optimize.evaluate import Counts
 from optimize.problem import Problem
 
-HISTORY, STATE = "history.jsonl", "state.npz"
+HISTORY, STATE, SUMMARY = "history.jsonl", "state.npz", "result.json"
+"""The summary is written last, by `optimize.report`: a folder that holds it is complete."""
 
 
 class JournalError(Exception):
     """The folder cannot be used as asked."""
+
+
+@contextlib.contextmanager
+def refusing_folder(what: str) -> Iterator[None]:
+    """Errors of the file system as JournalError."""
+    try:
+        with plain_errors(what):
+            yield
+    except OutputError as error:
+        raise JournalError(str(error)) from error
 
 
 def fingerprint(problem: Problem) -> str:
@@ -33,62 +48,80 @@ def fingerprint(problem: Problem) -> str:
 
 
 class Journal:
-    """Writes and reads one folder."""
+    """Writes and reads one folder, which no other process writes until it is closed."""
 
     def __init__(self, folder: Path, problem: Problem) -> None:
         self.folder, self.problem = folder, problem
+        self.earlier: list[dict[str, Any]] = []
+        """Lines of the search that is gone on with."""
         self._lines: Any = None
+        self._lock: Lock | None = None
 
     def start(self, resume: bool, force: bool) -> Progress:
-        """A fresh search, or the one that stopped here."""
+        """A fresh search, or the one that stopped here: afresh too, if it stopped before the end of its first iteration."""
+        try:
+            with refusing_folder(f"cannot write to {self.folder}"):
+                return self._start(resume, force)
+        except JournalError:
+            self.close()
+            raise
+
+    def _start(self, resume: bool, force: bool) -> Progress:
         state, history = self.folder / STATE, self.folder / HISTORY
-        if resume:
+        if resume and not (state.exists() or history.exists()):
+            raise JournalError(f"{self.folder} holds no search to resume")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = Lock(self.folder)
+        if not (resume or force) and (state.exists() or history.exists()):
+            raise JournalError(
+                f"{self.folder} already holds a search; add --resume to go on with it, --force to replace it, "
+                "or name another folder"
+            )
+        if resume and state.exists():
             progress = self._read(state)
+            if progress.reason and (self.folder / SUMMARY).exists():
+                progress.reason = ""  # its result is written: more is wanted
+            elif progress.reason:  # it had ended, but for its result: it goes on only if the budgets have grown
+                progress.reason = ""
+                stop(self.problem, progress)
             lines = history.read_text("utf-8").splitlines()[: progress.iteration] if history.exists() else []
-            write_whole(history, "".join(line + "\n" for line in lines))
         else:
-            if (state.exists() or history.exists()) and not force:
-                raise JournalError(
-                    f"{self.folder} already holds a search; add --resume to go on with it, --force to replace it, "
-                    "or name another folder"
-                )
-            try:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                for old in (state, history):
-                    old.unlink(missing_ok=True)
-            except OSError as error:
-                raise JournalError(f"cannot write to {self.folder}: {error.strerror or error}") from error
-            progress = begin(self.problem)
+            progress, lines = begin(self.problem), []
+            state.unlink(missing_ok=True)
+        (self.folder / SUMMARY).unlink(missing_ok=True)  # the folder is not complete until it is written again
+        write_whole(history, "".join(line + "\n" for line in lines))
+        self.earlier = [json.loads(line) for line in lines]
         self._lines = history.open("a", encoding="utf-8")
         return progress
 
     def save(self, progress: Progress, line: Line) -> None:
-        try:
+        what = f"the search could not be written to {self.folder}; --resume goes on with what is there"
+        with refusing_folder(what):
             self._lines.write(json.dumps(plain(line._asdict()), allow_nan=False) + "\n")
             self._lines.flush()
-            _write_arrays(self.folder / STATE, _pack(progress, fingerprint(self.problem)))
-        except OSError as error:
-            raise JournalError(
-                f"the search could not be written to {self.folder}: {error.strerror or error}"
-            ) from error
+            with replacing(self.folder / STATE) as stream:
+                np.savez(stream, **_pack(progress, fingerprint(self.problem)))  # type: ignore[arg-type]
 
     def close(self) -> None:
         if self._lines is not None:
-            self._lines.close()
+            with contextlib.suppress(OSError):  # what is left in the buffer of a full disk
+                self._lines.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def _read(self, path: Path) -> Progress:
-        if not path.exists():
-            raise JournalError(f"{self.folder} holds no search to resume")
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files}
             if str(arrays["fingerprint"]) != fingerprint(self.problem):
                 raise JournalError(
                     f"{self.folder} holds the search of another study; name another folder, or add --force"
                 )
             return _unpack(arrays, self.problem)
-        except (OSError, ValueError, KeyError) as error:
-            raise JournalError(f"{path} cannot be read: {error}") from error
+        except (OSError, EOFError, ValueError, TypeError, KeyError, zipfile.BadZipFile) as error:
+            raise JournalError(
+                f"{path} is not the state of a search ({short(str(error))}); add --force to begin anew"
+            ) from error
 
 
 def read_history(folder: Path) -> list[dict[str, Any]]:
@@ -108,17 +141,9 @@ def _pack(progress: Progress, mark: str) -> dict[str, np.ndarray]:
 
 
 def _unpack(arrays: dict[str, np.ndarray], problem: Problem) -> Progress:
-    """A search that had ended goes on: its reason is not kept."""
     fresh = begin(problem)
     kinds = {f.name: type(getattr(fresh, f.name)) for f in dataclasses.fields(Progress)}
     given: dict[str, Any] = {n: kinds[n](arrays[n]) if kinds[n] in (int, float) else arrays[n] for n in _ARRAYS}
     leaves, structure = jax.tree.flatten(fresh.state)
     state = structure.unflatten([arrays[f"state.{k}"] for k in range(len(leaves))])
-    return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])))
-
-
-def _write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    draft = path.with_name(f".{path.name}.part")
-    with draft.open("wb") as stream:
-        np.savez(stream, **arrays)  # type: ignore[arg-type]
-    os.replace(draft, path)
+    return Progress(**given, state=state, counts=Counts(*map(int, arrays["counts"])), reason=str(arrays["reason"]))

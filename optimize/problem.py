@@ -16,7 +16,7 @@ from jax import Array
 import diffeed
 from diffeed.names import nearest
 from optimize import variables as free
-from optimize.asked import Asked, StudyError, changed, resolved, shown, values_of, violations
+from optimize.asked import Asked, StudyError, changed, resolved, run_problems, shown, values_of, violations
 from optimize.study import Goal, Study
 from optimize.terms import TERMS
 from optimize.tolerance.draws import Input, deviations, inputs_of, uniforms
@@ -239,8 +239,7 @@ def make_problem(
     problems += _setting_problems(study)
     if not problems:
         for name, medium in scenes.items():
-            found = diffeed.check(medium, dt=study.dt, method=study.method)
-            problems += [f"media.{name}: {p}" if name else p for p in found]
+            run_problems(study, medium, f"media.{name}" if name else "", problems, _at_once(study))
     if problems:
         raise StudyError(problems, where)
     start = free.unit(tuple(study.variables.values()), [free.start_of(v, base) for v in study.variables.values()])
@@ -257,12 +256,21 @@ def make_problem(
     )
 
 
+def _at_once(study: Study) -> int:
+    """Runs of one iteration."""
+    search, machines = study.search, study.robust.samples if study.tolerances else 1
+    return (
+        search.starts * max(1, len(study.media)) * machines * (search.samples if search.gradient == "expected" else 1)
+    )
+
+
 def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
     for name, variable in study.variables.items():
         where = f"variables.{name}"
         found = []
         for path in variable.paths:
             try:
+                diffeed.unit(scene, path)
                 value = diffeed.get(scene, path)
                 if np.ndim(value) or isinstance(value, str) or value is None:
                     found.append(f"{where}.path must name one number, but {path} holds {shown(value)}")

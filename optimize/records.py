@@ -2,8 +2,28 @@
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from diffeed.limits import MAX_STEPS
+from diffeed.words import escaped, name_problem
+
+
+def _named(name: str) -> str:
+    if problem := name_problem(name):
+        raise ValueError(problem)
+    return name
+
+
+def _one_line(text: str) -> str:
+    if escaped(text) != text:
+        raise ValueError("must be one line without control characters")
+    return text
+
+
+Name = Annotated[str, AfterValidator(_named)]
+"""Of a variable, a limit, a measure: it appears in pictures and in the names of files."""
+Title = Annotated[str, Field(max_length=200), AfterValidator(_one_line)]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 Positive = Annotated[float, Field(gt=0)]
 Nonnegative = Annotated[float, Field(ge=0)]
 Pair = tuple[float, float]
@@ -36,6 +56,8 @@ class Moved(Record):
             raise ValueError(f"exactly one of {', '.join(self.meanings)} must be given, but {len(given)} are")
         if (self.direction is not None) != (given == ["shift"]):
             raise ValueError("direction belongs to shift, and only there")
+        if self.direction is not None and not any(self.direction):
+            raise ValueError("direction must not be zero")
         if (self.about is not None) != (given == ["turn"]):
             raise ValueError("about (the point) belongs to turn, and only there")
         return self
@@ -56,11 +78,11 @@ class Runs(Record):
     duration: Positive | None = None
     dt: Positive = 5e-4
     step_tolerance: Positive | None = None
-    most_steps: Annotated[int, Field(ge=1)] = 20_000
+    most_steps: Annotated[int, Field(ge=1, le=MAX_STEPS)] = 20_000
     frames: Annotated[int, Field(ge=2, le=100_001)] = 41
     method: str = "linear_euler"
     set: dict[str, Any] = Field(default_factory=dict)
-    title: str = ""
+    title: Title = ""
 
     @property
     def stepping(self) -> dict[str, Any]:

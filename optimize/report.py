@@ -8,9 +8,11 @@ import numpy as np
 
 import diffeed
 from diffeed import player
+from diffeed.files import write_whole
 from diffeed.terminal import plain_table
 from optimize.blame_map import arising, blame
 from optimize.design_run import Result, Scored, run_of
+from optimize.journal import SUMMARY
 from optimize.problem import SLACK
 from optimize.study import Goal, Limit
 
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
 
 WORDS = ("unit", "wanted")
 """Columns of words in the tables."""
-SUMMARY = "result.json"
 FILES = (
     "scene.toml", "before_after.html", "history.png", "variables.png", "blame_before.png", "blame_after.png",
     "when_before.png", SUMMARY,
@@ -136,7 +137,7 @@ def write_result(folder: Path, result: Result, pictures: bool = True) -> list[st
     if pictures:
         _write_pictures(folder, result)
     text = json.dumps(summarise(result), indent=2, allow_nan=False) + "\n"
-    (folder / SUMMARY).write_text(text, "utf-8")
+    write_whole(folder / SUMMARY, text)
     return [name for name in FILES if (folder / name).exists()]
 
 

@@ -10,8 +10,10 @@ from pydantic import Field, model_validator
 from optimize.records import Limit as Limit
 from optimize.records import Measured as Measured
 from optimize.records import Moved as Moved
-from optimize.records import Nonnegative, Pair, Positive, Record, Runs
+from optimize.records import Name, Nonnegative, Pair, Positive, Record, Runs, Seed
 from optimize.tolerance.records import Tolerance
+
+Iterations = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class Variable(Moved):
@@ -52,7 +54,7 @@ class Medium(Record):
 class Stage(Record):
     """A part of the search with easier settings: smoothing and stick speed times `smoothing`, another run length."""
 
-    iterations: Annotated[int, Field(ge=1)]
+    iterations: Iterations
     smoothing: Annotated[float, Field(ge=1)] = 1.0
     duration: Positive | None = None
 
@@ -68,7 +70,7 @@ class Robust(Record):
     over: Literal["mean", "worst", "cvar"] = "mean"
     tail: Annotated[float, Field(gt=0, le=1)] = 0.25
     redraw: bool = False
-    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
+    seed: Seed = 0
 
 
 class Search(Record):
@@ -78,29 +80,29 @@ class Search(Record):
     learning_rate: Positive = 0.05
     schedule: Literal["constant", "cosine", "exponential"] = "constant"
     clip: Positive | None = None
-    iterations: Annotated[int, Field(ge=1)] = 60
+    iterations: Iterations = 60
     starts: Annotated[int, Field(ge=1, le=256)] = 1
     spread: Annotated[float, Field(gt=0, le=1)] = 0.25
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     gradient: Literal["exact", "expected"] = "exact"
     samples: Annotated[int, Field(ge=2, le=1024)] = 8
-    patience: Annotated[int, Field(ge=1)] = 15
+    patience: Iterations = 15
     gain: Nonnegative = 1e-3
     goal: float | None = None
     seconds: Positive | None = None
     penalty: Positive = 10.0
-    stages: list[Stage] = Field(default_factory=list)
+    stages: Annotated[list[Stage], Field(max_length=100)] = Field(default_factory=list)
 
 
 class Study(Runs):
     """A scene, what may change, what is wanted, what must hold, and how to search."""
 
-    variables: Annotated[dict[str, Variable], Field(min_length=1)]
-    objective: Annotated[dict[str, Goal], Field(min_length=1)]
-    limits: dict[str, Limit] = Field(default_factory=dict)
-    media: dict[str, Medium] = Field(default_factory=dict)
+    variables: Annotated[dict[Name, Variable], Field(min_length=1)]
+    objective: Annotated[dict[Name, Goal], Field(min_length=1)]
+    limits: dict[Name, Limit] = Field(default_factory=dict)
+    media: dict[Name, Medium] = Field(default_factory=dict)
     over: Literal["mean", "worst", "cvar"] = "mean"
     tail: Annotated[float, Field(gt=0, le=1)] = 0.5
-    tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+    tolerances: dict[Name, Tolerance] = Field(default_factory=dict)
     robust: Robust = Robust()
     search: Search = Search()

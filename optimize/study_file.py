@@ -1,14 +1,16 @@
 """STUDY files: TOML to a checked study. A file holds numbers and words; the scene it names is read as a scene file."""
 
 import os
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from diffeed import toml_text
 from diffeed.names import hint
+from diffeed.toml_text import TomlError
+from diffeed.words import key_text, short
 from optimize.asked import StudyError
 from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
 from optimize.tolerance.records import Tolerance
@@ -71,23 +73,24 @@ def shipped_studies() -> dict[str, Path]:
 def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
     try:
         if not file.is_file():
-            raise StudyError([f"there is no such file, nor a shipped study of that name: {', '.join(known)}"], where)
-        data = file.read_bytes()[: MAX_BYTES + 1]
-        if len(data) > MAX_BYTES:
-            raise StudyError([f"the file must be <= {MAX_BYTES / 1e6:g} MB, but is larger"], where)
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except RecursionError:
-        raise StudyError(["the file nests tables or lists too deeply"], where) from None
-    except StudyError:
-        raise
-    except (OSError, ValueError) as error:
-        raise StudyError([f"the file is not readable TOML: {error}"], where) from None
+            raise TomlError(f"there is no such file, nor a shipped study of that name: {', '.join(known)}")
+        return toml_text.read(file, MAX_BYTES)
+    except TomlError as error:
+        raise StudyError([str(error)], where) from None
+    except (OSError, ValueError):  # a name too long, or with a zero byte in it
+        raise StudyError(
+            [f"there is no such file, nor a shipped study of that name: {', '.join(known)}"], where
+        ) from None
+
+
+_KINDS = ("list[", "str", "function-")
+"""How pydantic marks the alternatives of a field in the place of an error."""
 
 
 def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseModel]) -> str:
     """One problem in the words of a study file: path, what it must be, what it is. `records`: by section, for hints."""
-    places = [str(p) for p in error["loc"] if not (isinstance(p, str) and p.startswith(("list[", "str", "function-")))]
-    where, kind = ".".join(places), error["type"]
+    places = [str(p) for p in error["loc"] if p != "[key]" and not (isinstance(p, str) and p.startswith(_KINDS))]
+    where, kind = ".".join(map(key_text, places)), error["type"]
     if kind == "extra_forbidden":
         section = next((p for p in reversed(places[:-1]) if p in records), "")
         fields = list((records[section] if section else whole).model_fields)
@@ -98,9 +101,4 @@ def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseMo
     if kind == "value_error":
         return f"{where}: {text}"
     text = text.removeprefix("Input should be ").replace("Input should have", "something with")
-    return f"{where} must be {text}, but is {_shown(error.get('input'))}"
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return f"{where} must be {text}, but is {short(error.get('input'))}"

@@ -13,6 +13,9 @@ import diffeed
 from optimize import variables as free
 from optimize.problem import Problem, Settings, look, over_media
 
+FILES = ("gradients.txt", "gradients.json")
+"""The last is written last."""
+
 
 def check_study(problem: Problem, samples: int = 64) -> diffeed.GradientCheck:
     """Derivatives of the objective with respect to each variable, in the variable's unit, at the study's start."""
@@ -48,4 +51,4 @@ def write_check(folder: Path, found: diffeed.GradientCheck) -> list[str]:
         {k: v if isinstance(v, str) or np.isfinite(v) else None for k, v in r._asdict().items()} for r in found.rows
     ]
     (folder / "gradients.json").write_text(json.dumps(rows, indent=2) + "\n", "utf-8")
-    return ["gradients.txt", "gradients.json"]
+    return list(FILES)

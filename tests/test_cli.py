@@ -20,7 +20,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 import diffeed
-from diffeed import cli, outputs, pieces, report, tuning
+from diffeed import cli, folders, outputs, pieces, report, tuning
 
 ROOT = Path(__file__).parent.parent
 COMMAND = (sys.executable, "-m", "diffeed.cli")
@@ -350,9 +350,9 @@ def test_an_out_that_is_a_file_is_refused(tmp_path):
 
 
 def test_other_files_of_a_folder_are_left_alone(tmp_path):
-    outputs.refuse_overwriting(tmp_path / "new")
+    folders.refuse_overwriting(tmp_path / "new", outputs.FILES)
     (tmp_path / "notes.txt").write_text("mine")
-    outputs.refuse_overwriting(tmp_path)
+    folders.refuse_overwriting(tmp_path, outputs.FILES)
 
 
 def write_stubs(monkeypatch, **writers) -> None:
@@ -365,7 +365,7 @@ def test_forced_results_replace_all_old_ones(tmp_path, monkeypatch):
     for name in ("notes.txt", "slip.png", "summary.json"):
         (folder / name).write_text("old")
     write_stubs(monkeypatch, scene_toml=lambda p: p.write_text("new"), summary_json=lambda p: p.write_text("new"))
-    with outputs.draft_of(folder) as draft:
+    with folders.draft_of(folder) as draft:
         outputs.write_files(draft, folder, None, None, {})  # type: ignore[arg-type]
     found = {p.name: p.read_text() for p in folder.iterdir()}
     assert found == {"notes.txt": "old", "scene.toml": "new", "summary.json": "new"}
@@ -378,15 +378,15 @@ def test_a_full_disk_leaves_no_folder_and_one_sentence(tmp_path, monkeypatch):
 
     write_stubs(monkeypatch, scene_toml=lambda p: p.write_text("new"), data_npz=fill)
     sentence = r"the results were not written to .*: No space left on device$"
-    with pytest.raises(outputs.OutputError, match=sentence), outputs.draft_of(tmp_path / "out") as draft:
+    with pytest.raises(folders.OutputError, match=sentence), folders.draft_of(tmp_path / "out") as draft:
         outputs.write_files(draft, tmp_path / "out", None, None, {})  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_that_cannot_be_written_is_found_before_the_run(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(outputs.OutputError, match=r"cannot write to .*: Not a directory"):
-        outputs.draft_of(tmp_path / "file" / "out").__enter__()
+    with pytest.raises(folders.OutputError, match=r"cannot write to .*: Not a directory"):
+        folders.draft_of(tmp_path / "file" / "out").__enter__()
 
 
 @pytest.mark.parametrize(("frames", "count"), [(2, 1), (11, 10), (101, 20), (102, 101), (1001, 20), (24, 23)])

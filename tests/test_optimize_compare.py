@@ -28,7 +28,7 @@ def test_the_table_gives_times_of_the_gradient():
 
 
 def test_the_file_holds_every_gain(tmp_path):
-    assert write_comparison(tmp_path / "new", FOUND) == ["comparison.json", "comparison.png"]
+    assert write_comparison(tmp_path / "new", FOUND) == ["comparison.png", "comparison.json"]  # the numbers last
     data = json.loads((tmp_path / "new" / "comparison.json").read_text())
     assert data["searches"]["Nelder-Mead"]["falls"] == [[1.0, 10.0], [2.0, 8.0], [40.0, 1.0]]
     assert data["searches"]["Nelder-Mead"]["forward_runs"] == pytest.approx(40.0)

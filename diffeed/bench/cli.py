@@ -355,13 +355,10 @@ def _front(
 @contextmanager
 def _draft(out: Path | None, files: tuple[str, ...], force: bool) -> Iterator[Path | None]:
     """Refuse early what could not be written; an unwritten folder leaves nothing."""
-    from diffeed.outputs import OutputError, draft_of, refuse_overwriting
+    from diffeed.folders import OutputError, draft_of
 
-    with refusing(OutputError):
-        if out and not force:
-            refuse_overwriting(out, files)
-        with draft_of(out) if out else nullcontext() as draft:
-            yield draft
+    with refusing(OutputError), draft_of(out, () if force else files) if out else nullcontext() as draft:
+        yield draft
 
 
 def _publish(out: Path | None, draft: Path | None, write: Callable[[Path, Path], list[str]]) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.records import BenchError, Front, read_front
 from diffeed.files import plain
-from diffeed.outputs import picture, write_all
+from diffeed.folders import write_all
+from diffeed.outputs import picture
 
 DATA = "bench.json"
 FRONT = ("front.png", "bench.csv", DATA)
@@ -47,7 +48,7 @@ def load_front(folder: Path) -> Front:
         data = json.loads(path.read_text("utf-8"))
     except OSError as error:
         raise BenchError(f"{path} cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BenchError(f"{path} is not a benchmark's file: {error}") from error
     try:
         return read_front(data)

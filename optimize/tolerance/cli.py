@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from diffeed.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
 from diffeed.terminal import SETTINGS, Refusal, console, refusing
 
 SCENE = click.option("--scene", help="Another scene of the same parts (an improved one), instead of the study's.")
@@ -64,9 +65,9 @@ def tolerance(study: str, **options: Any) -> None:
     from optimize.tolerance.cluster import ClusterError
     from optimize.tolerance.folder import FolderError
 
-    with refusing(ClusterError, FolderError):
+    with refusing(ClusterError, FolderError, OutputError), holding(options["out"]):
         if options["replay"]:
-            _replay(problem, options["out"], options["replay"])
+            _replay(problem, options["out"], options["replay"], options["force"])
         else:
             _run(problem, **options)
 
@@ -77,8 +78,9 @@ def tolerance(study: str, **options: Any) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="Folder for latitude.png and latitude.json."
 )
+@click.option("--force", is_flag=True, help="Replace what --out holds.")
 @click.option("--points", type=click.IntRange(2, 201), help="Along each axis, instead of the study's.")
-def latitude(study: str, scene: str | None, out: Path, points: int | None) -> None:
+def latitude(study: str, scene: str | None, out: Path, force: bool, points: int | None) -> None:
     """Which sheets pass: a map over two quantities of a study, its [latitude.x] and [latitude.y].
 
     \b
@@ -93,12 +95,15 @@ def latitude(study: str, scene: str | None, out: Path, points: int | None) -> No
         axes = {n: getattr(asked, n).model_copy(update={"points": points}) for n in ("x", "y")}
         problem = problem.changed(latitude=asked.model_copy(update=axes))
     from optimize.tolerance.latitude import latitude as run
-    from optimize.tolerance.report import write_latitude
+    from optimize.tolerance.report import LATITUDE, write_latitude
 
-    found = run(problem)
-    click.echo(f"{int(found.passed.sum())} of {found.passed.size} sheets pass")
-    with refusing(OSError):
-        click.echo(f"written to {out}: {', '.join(write_latitude(out, found))}")
+    with refusing(OutputError), publishing(out, LATITUDE, force) as draft:
+        found = run(problem)
+        click.echo(f"{int(found.passed.sum())} of {found.passed.size} sheets pass")
+        assert draft is not None
+        with plain_errors(f"the results were not written to {out}"):
+            write_latitude(draft, found)
+    click.echo(f"written to {out}: {', '.join(LATITUDE)}")
 
 
 def _problem(where: str, scene: str | None, changes: dict[str, Any]) -> Any:
@@ -150,16 +155,18 @@ def _run(
     summary = summarise(problem, rows, slopes, found)
     print_summary(console(), summary, fails(problem, was) if was else None)
     if out:
-        with refusing(OSError):
+        with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
             names = write_result(out, problem, rows, summary, not no_pictures, was)
         click.echo(f"written to {out}: samples.csv, {', '.join(names)}")
 
 
-def _replay(problem: Any, out: Path, samples: tuple[int, ...]) -> None:
-    from optimize.tolerance.replay import replay
+def _replay(problem: Any, out: Path, samples: tuple[int, ...], force: bool) -> None:
+    from optimize.tolerance.replay import names_of, replay
 
     for sample in samples:
-        with refusing(ValueError, OSError):
+        if not force:
+            refuse_overwriting(out, names_of(sample))
+        with refusing(ValueError), plain_errors(f"sample {sample} could not be written to {out}"):
             path, verdict = replay(problem, sample, out)
         click.echo(f"sample {sample}: {verdict}\nwritten to {path}")
 

@@ -19,6 +19,9 @@ from optimize.records import Moved
 from optimize.tolerance.media import CLIMATES, Card, MediaError, find
 from optimize.tolerance.records import Tolerance
 
+MAX_BYTES = 100_000_000
+"""Of a table of measured values."""
+MOST_INPUTS = 2_000
 EDGE = 1e-12
 """Uniform numbers are kept this far from 0 and 1, whose normal deviates are infinite."""
 
@@ -103,6 +106,9 @@ def inputs_of(
             made = _input(label, of, what, column, scene, cards, problems)
             if made is not None and len(problems) == before:
                 found.append(made)
+        if len(found) > MOST_INPUTS:
+            problems.append(f"tolerances must scatter at most {MOST_INPUTS} numbers, but {name} is beyond that")
+            break
     return tuple(found)
 
 
@@ -162,6 +168,9 @@ def _input(
 def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.ndarray | None:
     path = folder / str(of.file)
     try:
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:  # a device has no end
+            problems.append(f"{where}.file: {path} must be a file of at most {MAX_BYTES / 1e6:g} MB")
+            return None
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = csv.DictReader(stream)
             known = rows.fieldnames or []

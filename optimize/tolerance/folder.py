@@ -4,6 +4,7 @@ Lines are appended chunk by chunk; a kill leaves at most one broken line at the 
 written so that they read back as the same bits.
 """
 
+import contextlib
 import csv
 import io
 import json
@@ -14,10 +15,12 @@ import numpy as np
 
 from diffeed import measures
 from diffeed.files import write_whole
+from diffeed.folders import DRAFT, Lock, OutputError, plain_errors
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen, joined
 
-MARK, LOCK = "study.json", ".lock"
+MARK, RESULT = "study.json", "result.json"
+"""The result is written last, by `optimize.tolerance.report`: a folder that holds it is complete."""
 FIXED = ("sample", "status", "reason", "time")
 
 
@@ -42,39 +45,45 @@ class Folder:
 
     def start(self, resume: bool, force: bool) -> Rows | None:
         """What is there already; the table is then open for more."""
-        mark = self.place / MARK
         try:
-            if mark.exists():
-                self._lock()
-            if resume or (self.table.name != "samples.csv" and not force):
-                self._same_study(mark)
-            elif mark.exists() and not force:
-                raise FolderError(
-                    f"{self.place} already holds a study; add --resume to go on with it, --force to replace it, or name "
-                    "another folder"
-                )
-            else:
-                if self.place.exists() and not mark.exists() and any(p.name != LOCK for p in self.place.iterdir()):
-                    raise FolderError(f"{self.place} holds other files; name an empty folder or a new one")
-                self.place.mkdir(parents=True, exist_ok=True)
-                self._lock()
-                for old in [*self.place.glob("*.csv"), self.place / "result.json"]:
-                    old.unlink(missing_ok=True)
-                mark.write_text(
-                    json.dumps({"study": self.problem.key, "title": self.problem.study.title}) + "\n", "utf-8"
-                )
-            kept, done = self._read() if self.table.exists() else ("", None)
-            if done is None:
-                kept = _line(self.columns)
-            write_whole(self.table, kept)
-            self._stream = self.table.open("a", encoding="utf-8", newline="")
-        except OSError as error:
+            with plain_errors(f"cannot write to {self.place}"):
+                return self._start(resume, force)
+        except OutputError as error:
             self.close()
-            raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
+            raise FolderError(str(error)) from error
         except FolderError:
             self.close()
             raise
+
+    def _start(self, resume: bool, force: bool) -> Rows | None:
+        mark = self.place / MARK
+        if mark.exists():
+            self._held = self._held or Lock(self.place)
+        if resume or (self.table.name != "samples.csv" and not force):
+            self._same_study(mark)
+        elif mark.exists() and not force:
+            raise FolderError(
+                f"{self.place} already holds a study; add --resume to go on with it, --force to replace it, or name "
+                "another folder"
+            )
+        else:
+            self._begin(mark)
+        kept, done = self._read() if self.table.exists() else ("", None)
+        if done is None:
+            kept = _line(self.columns)
+        (self.place / RESULT).unlink(missing_ok=True)  # the folder is not complete until it is written again
+        write_whole(self.table, kept)
+        self._stream = self.table.open("a", encoding="utf-8", newline="")
         return done
+
+    def _begin(self, mark: Path) -> None:
+        if self.place.exists() and not mark.exists() and any(not _ours(p) for p in self.place.iterdir()):
+            raise FolderError(f"{self.place} holds other files; name an empty folder or a new one")
+        self.place.mkdir(parents=True, exist_ok=True)
+        self._held = self._held or Lock(self.place)
+        for old in [*self.place.glob("*.csv"), self.place / RESULT]:
+            old.unlink(missing_ok=True)
+        write_whole(mark, json.dumps({"study": self.problem.key, "title": self.problem.study.title}) + "\n")
 
     def rows(self) -> Rows | None:
         """The rows that are on disk."""
@@ -91,30 +100,18 @@ class Folder:
             ) from error
 
     def close(self) -> None:
-        for stream in (self._stream, self._held):
-            if stream is not None:
-                stream.close()
+        if self._stream is not None:
+            with contextlib.suppress(OSError):  # what is left in the buffer of a full disk
+                self._stream.close()
+        if self._held is not None:
+            self._held.close()
         self._stream = self._held = None
-
-    def _lock(self) -> None:
-        """Two studies must not write into one folder; the lock goes with the process."""
-        try:
-            import fcntl
-        except ImportError:  # not on this system
-            return
-        if self._held is None:
-            self._held = (self.place / LOCK).open("w")
-            try:
-                fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                self.close()
-                raise FolderError(f"{self.place} is being written by another run") from None
 
     def sort(self, rows: Rows) -> None:
         """The whole table again, in the order of the samples: workers finish in any order."""
-        self._stream.close()
         lines = (_line(self._words(rows, k)) for k in range(len(rows.sample)))
         try:
+            self._stream.close()
             write_whole(self.table, _line(self.columns) + "".join(lines))
         except OSError as error:
             raise FolderError(f"cannot write to {self.place}: {error.strerror or error}") from error
@@ -131,7 +128,7 @@ class Folder:
         try:
             owner = json.loads(mark.read_text("utf-8"))["study"]
         except (ValueError, KeyError, TypeError) as error:
-            raise FolderError(f"{mark} cannot be read: {error}") from error
+            raise FolderError(f"{mark} cannot be read ({error}); add --force to begin anew") from error
         if owner != self.problem.key:
             raise FolderError(f"{self.place} holds another study; name another folder, or add --force to replace it")
 
@@ -184,6 +181,11 @@ def read_rows(place: Path, problem: ToleranceProblem, deviation: np.ndarray) -> 
     if not np.allclose(kept.deviation[:, drawn], deviation[kept.sample][:, drawn], rtol=1e-9, atol=1e-12):
         raise FolderError(f"{place} drew other deviations: compare studies of the same tolerances, sampling and seed")
     return kept
+
+
+def _ours(path: Path) -> bool:
+    """A draft of a run that was killed, or the lock of an older version."""
+    return path.name == ".lock" or (path.name.startswith(".") and path.name.endswith(DRAFT))
 
 
 def _line(words: list[str]) -> str:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 import diffeed
 from diffeed.names import nearest
-from optimize.asked import Asked, StudyError, changed, resolved
+from optimize.asked import Asked, StudyError, changed, resolved, run_problems
 from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence
 from optimize.tolerance import media
@@ -25,6 +25,8 @@ RECORDS = {
     "tolerances": Tolerance, "measures": Measured, "limits": Limit, "latitude": Latitude, "x": Axis, "y": Axis,
 }  # fmt: skip
 """Records by the section that holds them, for messages."""
+MOST_NUMBERS = 100_000_000
+"""Deviations of a study, samples times inputs: 0.8 GB, drawn before the first run."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +98,18 @@ def make_tolerance(
     if study.latitude is not None:
         for name in ("x", "y"):
             problems += _axis_problems(f"latitude.{name}", getattr(study.latitude, name), base, cards)
+    if study.samples * max(1, len(inputs)) > MOST_NUMBERS:
+        most = MOST_NUMBERS // len(inputs)
+        problems.append(
+            f"samples must be at most {most:,} with {len(inputs)} numbers that scatter, but is {study.samples:,}"
+        )
     if study.method not in diffeed.METHODS:
         known = ", ".join(diffeed.METHODS)
         problems.append(
             f'method must be one of {known}, but is "{study.method}"{nearest(study.method, diffeed.METHODS)}'
         )
     if not problems:
-        problems += diffeed.check(base, dt=study.dt, method=study.method)
+        run_problems(study, base, "", problems)
     if problems:
         raise StudyError(problems, where)
     kept = (tuple(filter(None, measures)), tuple(filter(None, limits)))

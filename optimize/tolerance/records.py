@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from optimize.records import Limit, Measured, Moved, Pair, Positive, Record, Runs
+from optimize.records import Limit, Measured, Moved, Name, Pair, Positive, Record, Runs, Seed
 
 
 class Tolerance(Moved):
@@ -27,7 +27,7 @@ class Tolerance(Moved):
     offset: float = 0.0
     limits: Pair | None = None
     tied: bool = False
-    group: str | None = None
+    group: Name | None = None
     correlation: Annotated[float, Field(ge=0, le=1)] = 0.8
     file: str | None = None
     column: str | None = None
@@ -96,13 +96,13 @@ class ToleranceStudy(Runs):
     """A scene, how its numbers scatter, what is measured, what must hold, and how to sample."""
 
     dt: Positive = 2e-4
-    media: dict[str, str] = Field(default_factory=dict)
-    tolerances: Annotated[dict[str, Tolerance], Field(min_length=1)]
-    measures: dict[str, Measured] = Field(default_factory=dict)
-    limits: dict[str, Limit] = Field(default_factory=dict)
+    media: dict[Name, str] = Field(default_factory=dict)
+    tolerances: Annotated[dict[Name, Tolerance], Field(min_length=1)]
+    measures: dict[Name, Measured] = Field(default_factory=dict)
+    limits: dict[Name, Limit] = Field(default_factory=dict)
     samples: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
     sampling: Literal["plain", "latin_hypercube", "sobol"] = "plain"
-    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
+    seed: Seed = 0
     latitude: Latitude | None = None
 
     @model_validator(mode="after")

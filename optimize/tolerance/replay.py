@@ -20,12 +20,17 @@ def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
     return sampled(problem.inputs, problem.scene, jnp.asarray(drawn(problem)[sample]))
 
 
+def names_of(sample: int) -> tuple[str, str]:
+    """The files of a sample: its scene, and last its animation."""
+    return f"sample_{sample}.toml", f"sample_{sample}.html"
+
+
 def replay(problem: ToleranceProblem, sample: int, folder: Path) -> tuple[Path, str]:
     """Write `sample_<i>.html` (its animation) and `sample_<i>.toml` (its scene); the path of the first and the verdict."""
     scene = sample_scene(problem, sample)
     run = run_of(problem, scene, rest_of(problem))
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"sample_{sample}.html"
-    diffeed.save_scene(scene, path.with_suffix(".toml"))
+    written, path = (folder / name for name in names_of(sample))
+    diffeed.save_scene(scene, written)
     player.write_player(path, scene, run)
     return path, measures.verdict(scene, run).sentence()

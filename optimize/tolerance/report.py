@@ -10,6 +10,7 @@ from diffeed import plot_style
 from diffeed.files import plain, write_whole
 from diffeed.terminal import plain_table
 from optimize.tolerance import charts
+from optimize.tolerance.folder import RESULT
 from optimize.tolerance.latitude import Map
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
@@ -19,7 +20,7 @@ from optimize.tolerance.summary import TIGHTER, limits_of
 if TYPE_CHECKING:
     from rich.console import Console
 
-RESULT = "result.json"
+
 NAMES = {"first order": "gradient, first order", "regression": "Monte-Carlo regression", "sobol total": "Sobol total"}
 """Shares of the variance as the pictures and tables call them."""
 MOST = 12
@@ -139,6 +140,10 @@ def _pictures(
     return list(made)
 
 
+LATITUDE = ("latitude.png", "latitude.json")
+"""The last is written last."""
+
+
 def write_latitude(folder: Path, found: Map) -> list[str]:
     """The picture and the numbers of a latitude."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -153,7 +158,7 @@ def write_latitude(folder: Path, found: Map) -> list[str]:
         lambda: charts.latitude(found.x, found.y, found.margin, found.passed, *found.labels, nominal=found.nominal),
     )
     write_whole(folder / "latitude.json", json.dumps(plain(numbers), indent=1, allow_nan=False) + "\n")
-    return ["latitude.png", "latitude.json"]
+    return list(LATITUDE)
 
 
 def _percent(value: float | None) -> str:
