@@ -222,7 +222,17 @@ def cards(method: str) -> dict[str, Run]:
     )
 
 
-@ex.by_method(FIRST_ORDER, of=IMPLICIT)
+MIDPOINT_ON_CARD = pytest.mark.xfail(strict=True, reason="the midpoint rule leaps at a stiff wall, told as a failure")
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        FIRST_ORDER,
+        pytest.param("extrapolated_euler", marks=pytest.mark.slow),
+        pytest.param("midpoint", marks=[pytest.mark.slow, MIDPOINT_ON_CARD]),
+    ],
+)
 def test_card_comes_to_rest_in_its_static_shape(method):
     """Joint torques are small differences of large numbers here. Steps are 1.3 times the explicit limit without damping, and
     thousands of times that with it."""
@@ -348,14 +358,14 @@ def test_cost_grows_with_the_bars_not_with_their_square(method):
 @pytest.mark.slow
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_five_hundred_bars_keep_their_energy(method):
-    """Steps of 25 times what an explicit method could take: none is gained, and the midpoint rule keeps it."""
+    """Steps of 300 times what an explicit method could take: none is gained, and the midpoint rule keeps it."""
     scene = normalise(long_chain(MANY))
-    (problem,) = diffeed.check(scene, dt=5e-5, method=EXPLICIT)
+    (problem,) = diffeed.check(scene, dt=5e-4, method=EXPLICIT)
     assert "bending of the chain" in problem
 
     @jax.jit
     def swing(scene: Scene):
-        found = _simulate(scene, 5e-5, None, Plan(5, 2, 10), method, ("energy",))
+        found = _simulate(scene, 5e-4, None, Plan(5, 2, 10), method, ("energy",))
         return jnp.sum(found.sheets["paper"].nodes[-1, 0]), found
 
     (_, found), slopes = jax.jit(jax.value_and_grad(swing, has_aux=True))(scene)
