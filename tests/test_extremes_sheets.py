@@ -222,17 +222,7 @@ def cards(method: str) -> dict[str, Run]:
     )
 
 
-MIDPOINT_ON_CARD = pytest.mark.xfail(strict=True, reason="the midpoint rule leaps at a stiff wall, told as a failure")
-
-
-@pytest.mark.parametrize(
-    "method",
-    [
-        FIRST_ORDER,
-        pytest.param("extrapolated_euler", marks=pytest.mark.slow),
-        pytest.param("midpoint", marks=[pytest.mark.slow, MIDPOINT_ON_CARD]),
-    ],
-)
+@ex.by_method(FIRST_ORDER, of=IMPLICIT)
 def test_card_comes_to_rest_in_its_static_shape(method):
     """Joint torques are small differences of large numbers here. Steps are 1.3 times the explicit limit without damping, and
     thousands of times that with it."""
