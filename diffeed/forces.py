@@ -363,7 +363,7 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
     return found[:, :-1], found[:, -1]
 
 
-def _closing_rate(model: Model, bar: int) -> Array:
+def closing_rate(model: Model, bar: int) -> Array:
     """1/s: rate at which an explicit step lets a clamp's error decay (Baumgarte).
 
     The bending frequency of one bar of the sheet: below the fastest that a stable explicit step resolves, whatever the
@@ -391,7 +391,7 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
     bias = by_direction((arm * w * w * c, arm * w * w * s, zero))
     target = by_direction(hold_target(hold, state.time + step.h * float(step.implicit)))
     wanted = by_direction(_hold_speed(hold, state))
-    rate = None if step.implicit else _closing_rate(model, k)
+    rate = None if step.implicit else closing_rate(model, k)
     columns, values = [], []
     for d in hold.rows:
         columns.append(jnp.zeros((3, model.layout.n_bars)).at[:, k].set(jnp.stack(rows[d])))

@@ -42,6 +42,7 @@ class Motion:
 class Contact:
     """A named set of contact properties: f = stiffness D^exponent + damping D^damping_exponent d', clipped at zero.
 
+    With `damping_exponent` 0 the force jumps at the first touch, by damping times speed, and so do its derivatives.
     `friction_law` "sqrt" and "tanh" regularise friction over `stick_speed`: a load below the limit makes the contact creep.
     "stick" holds it by a tangential deflection of the size of `stick_displacement`, at rest; two rollers on each other and
     the search for the rest state use the square-root law then. "none" has no friction, whatever the parts say, and
@@ -84,7 +85,11 @@ class Contact:
 
 @record
 class Sheet:
-    """A sheet of paper or film: a chain of rigid bars. Node 0 is the leading edge."""
+    """A sheet of paper or film: a chain of rigid bars. Node 0 is the leading edge.
+
+    Sheets meet rollers and guides only: they pass through themselves and through each other, and a joint may turn as far as
+    it likes.
+    """
 
     length: Any = number(unit="mm", doc="length along the feed", bound="positive")
     thickness: Any = number(unit="mm", doc="full thickness; a surface lies half of it off the axis", bound="positive")

@@ -13,7 +13,7 @@ from jax import Array
 
 from diffeed import chain_solve, stick
 from diffeed.contact import Kept
-from diffeed.forces import Contacts, Step, assemble
+from diffeed.forces import Contacts, Step, assemble, closing_rate
 from diffeed.kinematics import Pose
 from diffeed.model import Model
 from diffeed.records import replace
@@ -48,7 +48,7 @@ def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept
     slope, _ = runge_kutta.derivative(model, guess, half, kept)
     missing = {name: getattr(slope, name) - (getattr(guess, name) - getattr(start, name)) / half for name in RATES}
     system, at, _ = assemble(model, guess, Step(half, True), kept)
-    change = chain_solve.solve(_for_correction(model, system, at, missing), model.layout)
+    change = chain_solve.solve(_for_correction(model, system, at, missing, half), model.layout)
     faster = advance_velocities(model, guess, change, half)
     moving = replace(
         start,
@@ -59,7 +59,7 @@ def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept
     return advance_positions(model, moving, half)
 
 
-def _for_correction(model: Model, system: System, at: Pose, missing: dict[str, Array]) -> System:
+def _for_correction(model: Model, system: System, at: Pose, missing: dict[str, Array], half: Array) -> System:
     """The matrix of an implicit step, with the inertia times the missing acceleration on the right: (M + hC + h^2 K) d = M r."""
     bars, layout = model.bars, model.layout
     bar = 2.0 * bars.half_length * missing["rate"]
@@ -71,7 +71,10 @@ def _for_correction(model: Model, system: System, at: Pose, missing: dict[str, A
         masses = jnp.concatenate([model.rollers.mass, model.rollers.inertia])
         border = border._replace(rhs=masses * jnp.concatenate([missing["travel_rate"], missing["spin"]]))
     if clamps is not None:
-        clamps = clamps._replace(rhs=jnp.tensordot(clamps.columns, jnp.stack([x, y, missing["rate"]]), axes=2))
+        # What closes a clamp's error, rate^2 error - 2 rate speed, changes with the correction as stiff springs do.
+        rates = jnp.stack([closing_rate(model, hold.bar) for hold in model.holds for _ in hold.rows])
+        lacking = jnp.tensordot(clamps.columns, jnp.stack([x, y, missing["rate"]]), axes=2)
+        clamps = clamps._replace(rhs=lacking / (1.0 + half * rates) ** 2)
     return system._replace(
         bars=system.bars._replace(fx=bars.mass * x, fy=bars.mass * y, fw=bars.inertia * missing["rate"]),
         bias_x=still,
