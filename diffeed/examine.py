@@ -8,9 +8,12 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from diffeed.bodies import bodies
 from diffeed.check_records import check_records
 from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
+from diffeed.crossing import guides_crossed
+from diffeed.kinematics import pose
 from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
@@ -52,8 +55,12 @@ def check(
         longest = None if tolerance is not None else STEP if dt is None else dt
         if problem := run_problem(float(scene.duration), longest, frames, scene_size(scene)):
             return [problem]
-    model, before, state, found, now = prepare(scene)
-    problems = _deep(model, before, "starts", allowed=0.5)
+    model, before, state, found, now, across = prepare(scene)
+    problems = _deep(model, before, "starts", allowed=0.5 if scene.initial == "settled" else 0.0)
+    crossed = np.array([*model.lines.names, *model.arcs.names])[np.asarray(across)]
+    problems += [
+        f"guides.{name}: a bar lies across it at the start; sheets must start in front of guides" for name in crossed
+    ]
     if scene.initial == "settled" and not problems:
         if not found:
             problems.append('no rest state was found from which to start; set initial = "given" to start as written')
@@ -72,6 +79,7 @@ class Prepared(NamedTuple):
     state: State  # from which the run starts
     found: Array  # bool: settled, or not to be settled
     gap: Array  # at that state
+    across: Array  # (lines + arcs,) bool: a bar lies across the guide at the start as written
 
 
 @jax.jit
@@ -82,7 +90,8 @@ def prepare(scene: Scene) -> Prepared:
     state, found = start, jnp.asarray(True)
     if scene.initial == "settled":
         state, found = settle_model(model, start)
-    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state))
+    across = guides_crossed(model, pose(model, start), bodies(model, start, start.time, start.time))
+    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), across)
 
 
 def _gaps(model: Model, state: State) -> Array:

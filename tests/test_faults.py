@@ -177,6 +177,8 @@ def test_a_bar_across_a_guide_at_the_start(guide):
     run = diffeed.simulate(machine(strip(lead=(10.0, 0.0)), guides={"wall": guide}), duration=0.01, dt=1e-4, frames=3)
     failed(run, ACROSS, "guides.wall")
     assert float(run.failure.time) == 0.0
+    (problem,) = diffeed.check(machine(strip(lead=(10.0, 0.0)), guides={"wall": guide}))
+    assert problem.startswith("guides.wall: a bar lies across it at the start")
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -30,6 +30,8 @@ FINER = 4
 """Times shorter are the steps that each run is compared with."""
 WRONG, SHARE = 5.0, 0.1
 """mm, and of the longest way that any node made: two runs that agree differ by less than the larger."""
+TOLD = 3.0
+"""Times the error that a run itself tells of: what it may be off."""
 TOLERANCES = (3e-3, 1e-3)
 """mm in one step, of the runs that decide."""
 MOST = 8_000
@@ -111,7 +113,7 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
             rough, fine = (_sample(run, i) for run in opinions)
             if not (rough.ok and fine.ok and _agree(rough, fine)):
                 sensitive += 1
-            elif not _agree(one, fine):
+            elif not _agree(one, fine) and _apart(one, fine)[0] > TOLD * float(one.error):
                 apart, way = _apart(one, fine)
                 what = f"{apart:.3g} mm off, of {way:.3g} mm moved; it told of {float(one.error):.2g} mm"
                 found.append(Found(machine, method, seed, what))
