@@ -20,8 +20,9 @@ from diffeed.state import State
 
 SHARE = 0.9
 """Of all energy that is stored or went through: more than this from nowhere is a failure."""
-SLOW = 10.0
-"""mm/s: the energy of a sheet at this speed is too little to fail a run."""
+SLOW, STRUCK = 10.0, 2.0
+"""mm/s, and times the speed of the fastest surface: the energy of a sheet at this speed fails no run. What a surface strikes
+leaves with up to twice its speed, and a hit within one step is not in the work."""
 ROUNDING = 1e4
 """Times the rounding error of the stored energies: below, there is nothing to be seen."""
 
@@ -35,12 +36,13 @@ class Book(NamedTuple):
     work: Array  # done on the sheets since
     through: Array  # the same without signs
     peak: Array  # the most that was stored outside contacts
+    pace: Array  # mm/s, of the fastest surface so far
 
 
 def empty(dtype: jnp.dtype) -> Book:
     """Before the first look."""
     zero = jnp.zeros((), dtype)
-    return Book(jnp.asarray(False), zero, zero, zero, zero, zero)
+    return Book(jnp.asarray(False), zero, zero, zero, zero, zero, zero)
 
 
 def is_kept(model: Model) -> bool:
@@ -65,9 +67,11 @@ def entered(
     free = moving + bending + height
     peak = jnp.maximum(book.peak, jnp.maximum(moving + bending, jnp.abs(free - start)))
     found = free - start - work
-    unseen = 0.5 * jnp.sum(model.bars.mass) * SLOW**2
+    unseen = 0.5 * jnp.sum(model.bars.mass) * (SLOW + STRUCK * book.pace) ** 2
     unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
-    return Book(jnp.asarray(True), start, power, work, through, peak), found > SHARE * (peak + through) + unseen
+    return Book(jnp.asarray(True), start, power, work, through, peak, book.pace), found > SHARE * (
+        peak + through
+    ) + unseen
 
 
 def _sheets(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:

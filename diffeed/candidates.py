@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from diffeed.bodies import bodies, spins
 from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near
-from diffeed.kinematics import node_velocities, nodes, pose
+from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import Model, Path
 from diffeed.state import State
 
@@ -59,6 +59,7 @@ class Candidates(NamedTuple):
     x: Array  # node positions at the search
     y: Array
     travel: Array
+    pace: Array  # mm/s: no surface of a roller or guide moves faster
 
     @property
     def complete(self) -> Array:
@@ -70,12 +71,12 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     """Candidates for the next `span` seconds."""
     at = pose(model, state)
     x, y = nodes(model, at)
-    size = slots(model)
+    size, pace = slots(model), _fastest_surface(model, state, span)
     if not model.has_bodies or not size.any:
         always = jnp.full((), jnp.inf)
-        return Candidates(keep_all(model), always, always, x, y, state.travel)
+        return Candidates(keep_all(model), always, always, x, y, state.travel, pace)
     world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
-    reach = REACH + MARGIN * span * _fastest(model, state, span)
+    reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
     found, free = [], []
     families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
@@ -86,7 +87,7 @@ def search(model: Model, state: State, span: Array) -> Candidates:
         found.append(index)
         free.append(next_gap)
     limit = jnp.minimum(jnp.minimum(free[0], free[1]), free[2])
-    return Candidates(keep(model, *found), reach, jnp.asarray(limit, reach.dtype), x, y, state.travel)
+    return Candidates(keep(model, *found), reach, jnp.asarray(limit, reach.dtype), x, y, state.travel, pace)
 
 
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
@@ -108,11 +109,15 @@ def _nearest(near: Closest, depth: Array | None, count: int, model: Model) -> tu
     return index[:, :count].T, -jnp.max(closest[:, count])
 
 
-def _fastest(model: Model, state: State, span: Array) -> Array:
-    """Largest speed of any node, pinch, roller surface (now or after `span`: it can set the sheet going) or guide's path,
-    mm/s."""
-    vx, vy = node_velocities(model, pose(model, state))
-    speeds = [jnp.max(jnp.abs(vx) + jnp.abs(vy)), jnp.max(jnp.abs(state.travel_rate), initial=0.0)]
+def _fastest_node(model: Model, at: Pose) -> Array:
+    vx, vy = node_velocities(model, at)
+    return lax.stop_gradient(jnp.max(jnp.abs(vx) + jnp.abs(vy)))
+
+
+def _fastest_surface(model: Model, state: State, span: Array) -> Array:
+    """A bound on the speed of any surface: of pinches on their way, of shafts (now or after `span`: they can set a sheet
+    going) and of guides on their paths, mm/s."""
+    speeds = [jnp.max(jnp.abs(state.travel_rate), initial=0.0)]
     surface = [jnp.abs(spins(model, state, time) * model.rollers.radius) for time in (state.time, state.time + span)]
     speeds.append(jnp.max(jnp.maximum(*surface), initial=0.0))
     for path in model.paths.values():

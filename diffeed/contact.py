@@ -136,6 +136,7 @@ class Kept(NamedTuple):
     arcs: Arcs | None
     surface: Surface
     allowed: Array  # mm that a bar axis may lie inside
+    approach: Array  # mm that a sheet may come nearer in one step
     slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
 
@@ -165,8 +166,8 @@ def keep_rollers(model: Model) -> Kept:
     whole, n = keep_all(model), model.rollers.n
     fields = ("radius", "active", "travel_x", "travel_y", "spin_lever")
     cut = {name: getattr(whole, name)[:n] for name in fields}
-    surface, allowed = jax.tree.map(lambda v: v[:n], (whole.surface, whole.allowed))
-    return whole._replace(lines=None, arcs=None, surface=surface, allowed=allowed, **cut)
+    surface, allowed, approach = jax.tree.map(lambda v: v[:n], (whole.surface, whole.allowed, whole.approach))
+    return whole._replace(lines=None, arcs=None, surface=surface, allowed=allowed, approach=approach, **cut)
 
 
 def allowed_in_circles(radius: Array) -> Array:
@@ -178,6 +179,14 @@ def allowed_depths(model: Model) -> Array:
     """(bodies,) mm that a bar axis may lie inside: deeper, the sheet is on its way to the other side."""
     behind = [DEEP_IN_GUIDES * guides.faces.depth for guides in (model.lines, model.arcs)]
     return jnp.concatenate([allowed_in_circles(model.circles.radius), *behind])
+
+
+def allowed_approaches(model: Model) -> Array:
+    """(bodies,) mm that a sheet may come nearer in one step: half of what takes it out of a body on the other side, so that
+    it is seen inside. That is the depth of a guide, and the way to the centre and as far beyond as an axis may lie in a
+    small circle; in a large one it is seen to be too deep before."""
+    circles = jnp.minimum(0.5 * (model.circles.radius + allowed_in_circles(model.circles.radius)), 0.5 * DEEPEST)
+    return jnp.concatenate([circles, 0.5 * allowed_depths(model)[model.circles.radius.shape[0] :]])
 
 
 def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array | None) -> Kept:
@@ -213,6 +222,7 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         arcs=jax.tree.map(lambda v: pick(v, arcs), model.arcs),
         surface=jax.tree.map(surface, model.surface),
         allowed=surface(allowed_depths(model)),
+        approach=surface(allowed_approaches(model)),
         slot=slot,
         has_slot=has_slot,
     )

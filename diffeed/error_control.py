@@ -18,7 +18,7 @@ from diffeed.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.kinematics import node_velocities, nodes, pose
 from diffeed.model import Model
 from diffeed.parts import Scene
-from diffeed.progress import Progress, searched, taken
+from diffeed.progress import Progress, entering, searched, taken
 from diffeed.records import replace
 from diffeed.state import State
 from diffeed.steppers import ESTIMATING
@@ -109,6 +109,7 @@ def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: P
         end = start + (carry.frame + 1).astype(dtype) * limits.frame
         span = jnp.minimum(end - carry.progress.state.time, BLOCK * carry.h)
         candidates, span = for_as_long_as_they_last(search(model, carry.progress.state, span), span)
+        carry = carry._replace(progress=entering(carry.progress, candidates))
         until = carry.progress.state.time + span
         until = jnp.where(until + _smallest(end) >= end, end, until)  # no stub is left over by rounding
         done = _attempts(control, limits, model, scene, carry, candidates, until)
@@ -236,7 +237,7 @@ def _replay(
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None
 
-            carry, _ = lax.scan(one_step, carry, lengths)
+            carry, _ = lax.scan(one_step, entering(carry, candidates), lengths)
             return searched(model, candidates, carry)
 
         carry = lax.cond(lengths[0] > 0, work, lambda c: c, carry)

@@ -18,8 +18,6 @@ FASTEST = 1e7
 LEAP = 0.4
 """mm: half a step at the speed that was gained in it, the error that first order leaves. A step of 10 ms under gravity has
 0.5 mm."""
-APPROACH = 0.5
-"""Of the depth that a body allows: what a sheet may come nearer in one step."""
 STILL = 1.0
 """mm/s: a sheet that is slower may well stay where it is."""
 
@@ -58,7 +56,7 @@ def _speeds(model: Model, state: State) -> Array:
 def _of_pairs(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
     depth, closing = _depth_and_approach(model, pairs, h)
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
-    unresolved = (pairs.weight > 0) & (closing > APPROACH * kept.allowed) & (closing > pairs.gap)
+    unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
     worst = jnp.max(jnp.where(deep, 2, jnp.where(unresolved, 1, 0)))
     return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[worst]
 
@@ -83,5 +81,5 @@ def severity(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
     depth, closing = _depth_and_approach(model, pairs, h)
     here = pairs.weight > 0
     deep = jnp.where(here & (pairs.touch.force > 0), depth, -jnp.inf)
-    near = jnp.where(here & (closing > pairs.gap), closing / APPROACH, -jnp.inf)
-    return jnp.max(jnp.maximum(deep, near) / kept.allowed, axis=1)
+    near = jnp.where(here & (closing > pairs.gap), closing, -jnp.inf)
+    return jnp.max(jnp.maximum(deep / kept.allowed, near / kept.approach), axis=1)

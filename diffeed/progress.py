@@ -100,6 +100,11 @@ def taken(
     )
 
 
+def entering(carry: Progress, found: Candidates) -> Progress:
+    """The start of a block of steps."""
+    return carry._replace(book=carry.book._replace(pace=jnp.maximum(carry.book.pace, found.pace)))
+
+
 def searched(model: Model, found: Candidates, carry: Progress) -> Progress:
     """The end of a block of steps: a failure if its candidates were not good until here."""
     near_enough = check_reach(model, found, carry.state)

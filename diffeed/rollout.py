@@ -19,7 +19,7 @@ from diffeed.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
 from diffeed.parts import Scene, normalise, warn_if_single
-from diffeed.progress import Progress, begin, searched, taken
+from diffeed.progress import Progress, begin, entering, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import felt_by_bodies, look, part_names, snapshot
 from diffeed.state import State
@@ -150,7 +150,7 @@ def _simulate(
             after = replace(after, time=time)
             return taken(model, scene, carry, after, touching, h, found.kept, observe), None
 
-        carry, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
+        carry, _ = lax.scan(one_step, entering(carry, found), start + jnp.arange(counts.steps))
         return searched(model, found, carry), None
 
     if counts.total > MANY:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Scene, Sheet
+from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet
 from diffeed.bodies import bodies
 from diffeed.causes import (
     ACROSS,
@@ -245,6 +245,18 @@ def test_a_run_goes_on_with_its_book():
         bouncing(3e4), duration=0.01, dt=2e-5, frames=2, method="runge_kutta", initial=first.final
     )
     assert float(second.failure.time) == float(whole.failure.time)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_guide_that_strikes_puts_energy_in(method):
+    """A post that comes at 2 m/s hits a sheet at rest within one step, in which no work is seen: no fault."""
+    motion = Motion(times=[0.0, 1.0], displacement=[(0.0, 0.0), (0.0, 2000.0)], rotation=[0.0, 0.0])
+    post = CircleGuide(center=(-10.0, -6.0), radius=5.0, motion=motion)
+    contact = Contact(stiffness=300.0, damping=0.0)
+    scene = machine(strip(), contact, guides={"post": post}, gravity=(0.0, 0.0))
+    run = diffeed.simulate(scene, duration=0.004, dt=1e-4, frames=3, method=method)
+    assert bool(run.ok), run.failure.describe()
+    assert float(run.states.vy[-1, 0]) > 500.0
 
 
 def test_a_driven_roller_puts_energy_in():

@@ -3,10 +3,14 @@
 import random
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.search import fuzz, invalid, kill, mutations, seeds
+import diffeed
+from diffeed.records import replace
+from tests.search import fuzz, invalid, kill, mutations, oracle, seeds, valid
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
@@ -84,3 +88,46 @@ def test_every_search_is_a_command():
 
     assert {"invalid", "fuzz", "kill"} <= set(main.commands)
     assert Path(main.callback.__code__.co_filename).name == "__main__.py"
+
+
+def test_random_valid_scenes():
+    """One structure of the search, run in a batch: no fault; scenes are the same for the same seed."""
+    tally = valid.look_for_trouble("scissors", "linear_euler", 8)
+    assert tally.scenes == 8
+    assert tally.held > 4, tally.line()
+    assert not tally.found, tally.found
+    one, other = valid.scene_of("entry", 3), valid.scene_of("entry", 3)
+    assert diffeed.scene_text(one) == diffeed.scene_text(other)
+
+
+def test_the_oracle_of_valid_scenes_sees_what_is_wrong():
+    """Frames spoilt on purpose: a stretched bar, a bar in a roller, a bar across a guide, a number that is none."""
+    scene = diffeed.load_scene("film_feeder")
+    good = jax.device_get(diffeed.simulate(scene, duration=0.002, dt=1e-3, frames=2))
+    assert not oracle.complaints(scene, good)
+
+    def spoilt(change):
+        nodes = np.array(good.sheets["film"].nodes)
+        change(nodes)
+        track = replace(good.sheets["film"], nodes=nodes)
+        return oracle.complaints(scene, replace(good, sheets={"film": track}))
+
+    def stretched(nodes):
+        nodes[1, 0, 0] += 1e-3
+
+    def inside(nodes):
+        nodes[1, :, 1] -= 7.0
+
+    def across(nodes):
+        wall = scene.guides["entry"]
+        middle, way = 0.5 * (wall.start + wall.end), np.subtract(wall.end, wall.start)
+        normal = np.array([-way[1], way[0]]) / np.hypot(*way)
+        nodes[1, 0], nodes[1, 1] = middle - 5.0 * normal, middle + 5.0 * normal
+
+    def missing(nodes):
+        nodes[1, 0, 0] = np.nan
+
+    assert "changed its length" in spoilt(stretched)[0]
+    assert any("deep in" in problem for problem in spoilt(inside))
+    assert any("lies across" in problem for problem in spoilt(across))
+    assert "not finite" in spoilt(missing)[0]
