@@ -147,10 +147,6 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
 
 
 def _share(mine: Array, other: Array) -> Array:
-    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too).
-
-    Exactly over a straight joint both are 0, and each takes half.
-    """
-    both, inside = (mine <= 0) & (other <= 0), mine + other < 0
-    shared = jnp.where(inside, mine / jnp.where(inside, mine + other, 1.0), 0.5)
-    return jnp.where(both, shared, 1.0)
+    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too)."""
+    both = (mine <= 0) & (other <= 0) & (mine + other < 0)
+    return jnp.where(both, mine / jnp.where(both, mine + other, 1.0), 1.0)

@@ -435,7 +435,7 @@ def test_a_report_with_long_names_fits_the_terminal(width):
          "torque_mean"), -1234.5678)  # fmt: skip
     sheet = {"arrivals": {name: {"lead": 0.5, "tail": None}}, "largest_curvature": 0.01, "fed": 300.0}
     sheet |= {"commanded": 300.0, "progress": 1.0, "longest_stall": 0.0}
-    run = {"scene": "x", "simulated": 1.0, "steps": 10, "dt": 0.1, "method": "m", "precision": "float64"}
+    run = {"scene": "x", "simulated": 1.0, "steps": 10, "dt": 0.1, "error": 0.1, "method": "m", "precision": "float64"}
     summary = {
         "verdict": {"status": "jammed", "reason": "[x] stalled", "time": 0.5, "place": "here"},
         "rollers": {name: nip},

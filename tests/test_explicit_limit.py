@@ -13,6 +13,7 @@ from diffeed import FixedRoller, LineGuide, Scene, Sheet
 from diffeed.examine import explicit_limit, prepare
 from diffeed.model import NEWTON
 from diffeed.parts import Contact, normalise
+from diffeed.progress import begin
 from diffeed.records import replace
 from diffeed.rollout import go_on
 from diffeed.trajectory import Resume
@@ -57,11 +58,8 @@ def growth(scene: Scene, kick: np.ndarray):
     """By what factor a small kick has grown after some hundred steps: the fastest bar of the last twenty (a mode swings),
     as a function of the step; and what `explicit_limit` says."""
     scene = normalise(scene)
-    model, _, state, _, _ = prepare(scene)
-    start = Resume(
-        state=replace(state, rate=jnp.asarray(kick)), cause=jnp.zeros((), jnp.int32), failed_at=jnp.full((), jnp.inf),
-        open={}, next_step=jnp.full((), 1e-6),
-    )  # fmt: skip
+    model, _, state, *_ = prepare(scene)
+    start = Resume(**begin(model, scene, replace(state, rate=jnp.asarray(kick)), ())._asdict())
 
     @jax.jit
     def factor(dt: jax.Array) -> jax.Array:
@@ -165,7 +163,7 @@ def test_a_start_off_the_nip_does_not_hide_it():
     """A sheet that runs towards the nip: the limit is that of its lead edge in it, m/(2 sqrt 3) between two springs."""
     scene = nip(stiffness=50.0, damped=False, stick_speed=1e3, smoothing=1e-6)
     scene = diffeed.put(scene, "sheets.a.lead", (-30.0, 0.0))
-    model, _, state, _, _ = prepare(normalise(scene))
+    model, _, state, *_ = prepare(normalise(scene))
     limit, cause = explicit_limit(model, state)
     bar = DENSITY * LENGTH / 10 * THICKNESS * WIDTH
     assert cause == "contact stiffness"
@@ -176,7 +174,7 @@ def test_friction_below_the_stick_speed():
     """Two rollers hold a sheet by mu N/v_s each: the whole sheet moves, not one bar. The start, at which the drives slip at
     full speed, does not hide it."""
     scene = nip(stiffness=50.0, damped=False, stick_speed=1.0, smoothing=1e-6)
-    model, _, state, _, _ = prepare(normalise(scene))
+    model, _, state, *_ = prepare(normalise(scene))
     limit, cause = explicit_limit(model, state)
     held = 2.0 * 0.5 * 2.0 * NEWTON / 1.0
     assert cause == "friction below the stick speed"

@@ -240,7 +240,7 @@ def test_an_explicit_method_on_card_is_refused_above_the_limit_of_its_bending():
     sheet = card().sheets["paper"]
     zigzag = (48.0 * ex.joint_stiffness(sheet) / (ex.bar_mass(sheet) * CARD_BAR**2)) ** 0.5
     assert cause == "bending of the chain"
-    assert limit == pytest.approx(2.78 / zigzag)
+    assert 1.0 < limit * zigzag / 2.78 < 1.1  # the fastest mode of a few bars lies below that of endlessly many
     for damping in (0.0, CARD_LAG):
         (problem,) = diffeed.check(card(damping), dt=1.01 * limit, method=EXPLICIT)
         assert "dt must be at most" in problem

@@ -40,7 +40,7 @@ def guides(count: int) -> dict[str, diffeed.CircleGuide]:
     [
         ({"sheets": sheets(1, 10**9)}, "sheets.sheet_0.bars must be from 1 to 10000, but is 1000000000"),
         ({"sheets": sheets(2, 6000)}, "sheets must have at most 10000 bars together, but have 12000"),
-        ({"sheets": sheets(1, 2), "guides": guides(1200)}, "a scene must have at most 1000 parts, but has 1201"),
+        ({"sheets": sheets(1, 2), "guides": guides(5000)}, "a scene must have at most 5000 parts, but has 5001"),
         (
             {"sheets": sheets(1, 9000), "guides": guides(300)},
             "bars times rollers and guides must be at most 2000000, but 9000 x 300 are 2700000",

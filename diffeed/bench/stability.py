@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed.bench.stability_scene import AXES, BASE, vary
+from diffeed.causes import CAUSES
 from diffeed.examine import explicit_limit
 from diffeed.model import Model, build
 from diffeed.parts import Scene
@@ -21,7 +22,7 @@ from diffeed.progress import begin
 from diffeed.rollout import go_on, simulate
 from diffeed.stacking import stack
 from diffeed.steppers import DEFAULT, EXPLICIT, METHODS
-from diffeed.trajectory import CAUSES, Resume
+from diffeed.trajectory import Resume
 
 RIGHT, WRONG = 0.1, 5.0
 """mm: largest distance of a node from the reference, over the frames: of a run that is right, of one that is plainly wrong."""
