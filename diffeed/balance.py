@@ -11,8 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from diffeed.contact import Kept, Pairs
-from diffeed.contact_law import elastic_energy
+from diffeed.contact import Pairs
 from diffeed.forces import Contacts, hold_target
 from diffeed.kinematics import Pose
 from diffeed.model import Model
@@ -50,13 +49,11 @@ def is_kept(model: Model) -> bool:
     return all(hold.path is None for hold in model.holds)
 
 
-def entered(
-    model: Model, book: Book, state: State, at: Pose, touching: Contacts, kept: Kept, h: Array
-) -> tuple[Book, Array]:
+def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts, h: Array) -> tuple[Book, Array]:
     """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
-    state, at, touching, kept = lax.stop_gradient((state, at, touching, kept))
+    state, at, touching = lax.stop_gradient((state, at, touching))
     moving, bending, height = _sheets(model, state, at)
-    pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets, kept)
+    pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
     power = power + _loads(model, at)
     start = jnp.where(book.opened, book.start, moving + bending + height + pressed)
     half = 0.5 * h
@@ -89,10 +86,10 @@ def _sheets(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:
     return sums[0], bending, sums[2]
 
 
-def _contacts(pairs: Pairs, kept: Kept) -> tuple[Array, Array]:
-    """Energy of the contact springs, and the power of the bodies' surfaces on the sheets."""
+def _contacts(pairs: Pairs) -> tuple[Array, Array]:
+    """A bound on the energy of the contact springs (force times depth), and the power of the bodies' surfaces on the sheets."""
     touch = pairs.touch
-    stored = pairs.weight * elastic_energy(kept.surface, -pairs.gap)
+    stored = touch.force * jnp.maximum(-pairs.gap, 0.0)
     power = touch.force * pairs.u_n - touch.friction * pairs.u_t
     sums = jnp.sum(jnp.stack([stored, power]), axis=(1, 2))
     return sums[0], sums[1]

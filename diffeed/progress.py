@@ -81,7 +81,7 @@ def taken(
     before = carry.state
     (cause, leap), book = faults.of_step(model, before, after, touching, kept, h), carry.book
     if balance.is_kept(model):
-        book, gained = balance.entered(model, book, before, pose(model, before), touching, kept, h)
+        book, gained = balance.entered(model, book, before, pose(model, before), touching, h)
         cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
     fine = (carry.cause == 0) & (cause == 0)
     opened = carry.open
