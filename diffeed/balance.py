@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from diffeed.contact import Pairs
-from diffeed.forces import Contacts, hold_target
+from diffeed.energy import sheet_energies
+from diffeed.forces import Contacts, pushes
 from diffeed.kinematics import Pose
 from diffeed.model import Model
 from diffeed.state import State
@@ -52,7 +53,7 @@ def is_kept(model: Model) -> bool:
 def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts, h: Array) -> tuple[Book, Array]:
     """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
     state, at, touching = lax.stop_gradient((state, at, touching))
-    moving, bending, height = _sheets(model, state, at)
+    moving, bending, height = sheet_energies(model, state, at)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
     power = power + _loads(model, at)
     start = jnp.where(book.opened, book.start, moving + bending + height + pressed)
@@ -66,24 +67,8 @@ def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts
     found = free - start - work
     unseen = 0.5 * jnp.sum(model.bars.mass) * (SLOW + STRUCK * book.pace) ** 2
     unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
-    return Book(jnp.asarray(True), start, power, work, through, peak, book.pace), found > SHARE * (
-        peak + through
-    ) + unseen
-
-
-def _sheets(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:
-    """Energy of motion, of bending and of height."""
-    bars = model.bars
-    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
-    moving = bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2
-    height = -bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y)
-    sums = jnp.sum(jnp.stack([0.5 * moving, 0.5 * bars.joint_stiffness * bend**2, height]), axis=1)
-    bending = sums[1]
-    for hold in model.holds:
-        if hold.wall:
-            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
-            bending = bending + model.wall_stiffness[hold.bar] * turn**2
-    return sums[0], bending, sums[2]
+    gained = found > SHARE * (peak + through) + unseen
+    return Book(jnp.asarray(True), start, power, work, through, peak, book.pace), gained
 
 
 def _contacts(pairs: Pairs) -> tuple[Array, Array]:
@@ -97,9 +82,5 @@ def _contacts(pairs: Pairs) -> tuple[Array, Array]:
 
 def _loads(model: Model, at: Pose) -> Array:
     """Power of dead forces and moments on nodes."""
-    total = jnp.zeros(())
-    for p in model.pushes:
-        arm, k = p.end * model.bars.half_length[p.bar], p.bar
-        vx, vy = at.vx[k] - arm * at.s[k] * at.w[k], at.vy[k] + arm * at.c[k] * at.w[k]
-        total = total + p.x * vx + p.y * vy + p.moment * at.w[k]
-    return total
+    load = pushes(model, at)
+    return jnp.zeros(()) if load is None else jnp.sum(load.fx * at.vx + load.fy * at.vy + load.fw * at.w)

@@ -3,20 +3,24 @@
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.bodies import Bodies
+from diffeed.bodies import bodies
 from diffeed.contact import DEEP_IN_GUIDES
-from diffeed.kinematics import Pose, nodes
+from diffeed.kinematics import nodes, pose
 from diffeed.model import Model
 from diffeed.shapes import past_ends_of_arc
 from diffeed.smooth import polar
+from diffeed.state import State
 
 
-def guides_crossed(model: Model, at: Pose, world: Bodies) -> Array:
+def guides_crossed(model: Model, state: State) -> Array:
     """(lines + arcs,) bool: a bar has its ends on both sides of the guide, one of them deep behind.
 
     The sides alone would also show an end that is pressed in; beyond the guide's own ends a sheet may cross freely.
     """
-    x, y = nodes(model, at)
+    if not (model.lines.names or model.arcs.names):
+        return jnp.zeros((0,), bool)
+    x, y = nodes(model, pose(model, state))
+    world = bodies(model, state, state.time, state.time)
     lines, arcs = world.lines, world.arcs
     found = []
     if model.lines.names:
@@ -36,8 +40,6 @@ def guides_crossed(model: Model, at: Pose, world: Bodies) -> Array:
         )
         first, second = past_ends_of_arc(*polar(px, py)[1:], arcs.radius[:, None], mid, quarter)
         found.append(across & (first < 0) & (second < 0))
-    if not found:
-        return jnp.zeros((0,), bool)
     return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
 
 

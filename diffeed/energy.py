@@ -36,20 +36,29 @@ class Powers(NamedTuple):
 
 def energies(model: Model, state: State, at: Pose, touching: Contacts) -> Energies:
     """Energies of a state. Driven rollers carry no kinetic energy of their own: their spin is given."""
-    bars, r = model.bars, model.rollers
-    moving = 0.5 * jnp.sum(bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2)
+    r = model.rollers
+    moving, bending, height = sheet_energies(model, state, at)
     moving = moving + 0.5 * jnp.sum(r.mass * state.travel_rate**2) + 0.5 * jnp.sum(r.inertia * state.spin**2)
-    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
-    bending = 0.5 * jnp.sum(bars.joint_stiffness * bend**2)
-    for hold in model.holds:
-        if hold.wall:
-            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
-            bending = bending + model.wall_stiffness[hold.bar] * turn**2
-    height = -jnp.sum(bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y))
     height = height - jnp.sum(r.mass * state.travel * (model.gravity[0] * r.dir_x + model.gravity[1] * r.dir_y))
     over = jnp.maximum(state.travel - r.stop_high, 0.0) + jnp.maximum(r.stop_low - state.travel, 0.0)
     springs = jnp.sum(r.preload * state.travel + 0.5 * r.spring * state.travel**2 + 0.5 * r.stop_stiffness * over**2)
     return Energies(*(v / NEWTON for v in (moving, bending, height, _contact_energy(model, touching), springs)))
+
+
+def sheet_energies(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:
+    """Of all sheets: motion, bending and height, kg mm2/s2."""
+    bars = model.bars
+    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
+    moving = bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2
+    height = -bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y)
+    # One sum of three rows: every step of a run pays for it.
+    sums = jnp.sum(jnp.stack([0.5 * moving, 0.5 * bars.joint_stiffness * bend**2, height]), axis=1)
+    bending = sums[1]
+    for hold in model.holds:
+        if hold.wall:
+            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
+            bending = bending + model.wall_stiffness[hold.bar] * turn**2
+    return sums[0], bending, sums[2]
 
 
 def _contact_energy(model: Model, touching: Contacts) -> Array:

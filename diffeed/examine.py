@@ -8,12 +8,10 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from diffeed.bodies import bodies
 from diffeed.check_records import check_records
 from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
 from diffeed.crossing import guides_crossed
-from diffeed.kinematics import pose
 from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.parts import Scene, normalise
@@ -90,7 +88,7 @@ def prepare(scene: Scene) -> Prepared:
     state, found = start, jnp.asarray(True)
     if scene.initial == "settled":
         state, found = settle_model(model, start)
-    across = guides_crossed(model, pose(model, start), bodies(model, start, start.time, start.time))
+    across = guides_crossed(model, start)
     return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), across)
 
 

@@ -30,11 +30,7 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
     before, after, touching, kept = lax.stop_gradient((before, after, touching, kept))
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, leap = jnp.max(jnp.abs(now)), 0.5 * h * jnp.max(jnp.abs(now - then))
-    if touching.sheets is None:
-        loudest, cause = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    else:
-        loudest = jnp.max(jnp.abs(touching.sheets.touch.force))
-        cause = _of_pairs(model, touching.sheets, kept, h)
+    cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(model, touching.sheets, kept, h)
     if touching.rollers is not None:
         i, j = model.pair_index
         allowed = allowed_in_circles(model.rollers.radius)
@@ -44,9 +40,14 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)
     cause = jnp.where(fastest > FASTEST, TOO_FAST, cause)
-    # The chain alone always has a solution; clamps may contradict each other, though all that they meet is finite.
-    blown = jnp.where(jnp.isfinite(loudest) & bool(model.holds), SINGULAR, NOT_FINITE)
-    return jnp.where(jnp.isfinite(fastest), cause, blown).astype(jnp.int32), leap
+    return jnp.where(jnp.isfinite(fastest), cause, _blown(model, touching)).astype(jnp.int32), leap
+
+
+def _blown(model: Model, touching: Contacts) -> Array:
+    """The chain alone always has a solution; clamps may contradict each other, though all that they meet is finite."""
+    if not model.holds or touching.sheets is None:
+        return jnp.asarray(SINGULAR if model.holds else NOT_FINITE)
+    return jnp.where(jnp.all(jnp.isfinite(touching.sheets.touch.force)), SINGULAR, NOT_FINITE)
 
 
 def _speeds(model: Model, state: State) -> Array:

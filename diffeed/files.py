@@ -67,13 +67,23 @@ def _draft(target: Path) -> BinaryIO:
 
 def _ours(descriptor: int, draft: Path) -> bool:
     """Whether the file that was opened is locked for this process, and still the one of that name."""
+    held = locked(descriptor)
+    if held is None:  # nobody uses a draft of that name
+        draft.unlink(missing_ok=True)
+    try:
+        return bool(held) and os.path.samestat(os.fstat(descriptor), draft.stat())
+    except FileNotFoundError:  # another process has just written it
+        return False
+
+
+def locked(descriptor: int) -> bool | None:
+    """Lock an open file or folder for this process, until it is closed; False: another has it; None: no locks here."""
     try:
         import fcntl
 
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return os.path.samestat(os.fstat(descriptor), draft.stat())
-    except (BlockingIOError, FileNotFoundError):  # another process writes it, or has just written it
+    except BlockingIOError:
         return False
-    except (ImportError, OSError):  # no locks here: nobody uses a draft of that name
-        draft.unlink(missing_ok=True)
-        return False
+    except (ImportError, OSError):  # not on this system, or not on this file system
+        return None
+    return True

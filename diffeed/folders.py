@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from diffeed.files import locked
+
 DRAFT = ".part"
 
 
@@ -87,22 +89,16 @@ def _key(path: Path) -> tuple[int, int]:
 
 def _locked(folder: Path) -> int | None:
     """A descriptor that holds the folder's lock; None where the system has no such locks. OutputError if another has it."""
-    try:
-        import fcntl
-    except ImportError:  # not on this system
+    if not hasattr(os, "O_DIRECTORY"):  # folders cannot be opened on this system
         return None
     descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise OutputError(
-            f"{folder} is being written by another run; wait for its end, or name another folder"
-        ) from None
-    except OSError:  # not on this file system
-        os.close(descriptor)
+    held = locked(descriptor)
+    if held:
+        return descriptor
+    os.close(descriptor)
+    if held is None:
         return None
-    return descriptor
+    raise OutputError(f"{folder} is being written by another run; wait for its end, or name another folder")
 
 
 # --- all files together ---------------------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from jax import Array
 
 from diffeed import balance, faults, stick
 from diffeed.balance import Book
-from diffeed.bodies import bodies
 from diffeed.candidates import Candidates, check_reach
 from diffeed.causes import ACROSS, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
 from diffeed.contact import Kept
@@ -59,7 +58,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
                 state, found = settle_model(model, state)
     cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
-    cause = jnp.where((cause == 0) & _is_across(model, state), ACROSS, cause).astype(jnp.int32)
+    cause = jnp.where((cause == 0) & jnp.any(guides_crossed(model, state)), ACROSS, cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
     dtype = state.time.dtype
     return Progress(
@@ -108,16 +107,9 @@ def entering(carry: Progress, found: Candidates) -> Progress:
 def searched(model: Model, found: Candidates, carry: Progress) -> Progress:
     """The end of a block of steps: a failure if its candidates were not good until here."""
     near_enough = check_reach(model, found, carry.state)
-    lost = (carry.cause == 0) & (~near_enough | _is_across(model, carry.state))
+    lost = (carry.cause == 0) & (~near_enough | jnp.any(guides_crossed(model, carry.state)))
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
     cause = jnp.where(near_enough, ACROSS, unseen).astype(jnp.int32)
     return carry._replace(
         cause=jnp.where(lost, cause, carry.cause), failed_at=jnp.where(lost, carry.state.time, carry.failed_at)
     )
-
-
-def _is_across(model: Model, state: State) -> Array:
-    """Bool: a bar lies across a guide."""
-    if not (model.lines.names or model.arcs.names):
-        return jnp.asarray(False)
-    return jnp.any(guides_crossed(model, pose(model, state), bodies(model, state, state.time, state.time)))

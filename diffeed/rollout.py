@@ -210,16 +210,15 @@ def _trajectory(
 def _blamed(model: Model, last: Progress, h: Array) -> Array:
     """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
     force at the last good state; -1: nothing touches."""
-    at, world, touching = look(model, last.state)
+    at, _, touching = look(model, last.state)
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
     about = severity(model, touching.sheets, keep_all(model), h)
-    across = jnp.concatenate(
-        [jnp.zeros((len(model.circle_names),)), guides_crossed(model, at, world).astype(felt.gap.dtype)]
-    )
+    crossed = guides_crossed(model, last.state).astype(felt.gap.dtype)
+    across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), crossed])
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
-    weight = jnp.where(told, jnp.exp(about), jnp.where(last.cause == ACROSS, across, pressed))
+    weight = jnp.where(told, about, jnp.where(last.cause == ACROSS, across, pressed))
     by_part = _by_part(model, weight)
     return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
 

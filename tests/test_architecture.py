@@ -26,12 +26,12 @@ RANKS = """
     crossing
     stick
     candidates forces
-    balance faults
+    energy balance faults
     chain_dense chain_elimination
     chain_solve
     steppers.advance steppers.linear_euler steppers.extrapolated_euler steppers.runge_kutta steppers.midpoint
     steppers
-    trajectory energy
+    trajectory
     snapshot
     spans
     observe

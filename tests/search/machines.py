@@ -5,7 +5,7 @@ Names, kinds and counts never change within a structure, so that all scenes of o
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -30,11 +30,8 @@ from diffeed.records import replace
 Generator = np.random.Generator
 
 
-class Machine(NamedTuple):
-    """A structure and the time for which it is run, s."""
-
-    draw: Callable[[Generator], Scene]
-    duration: float = 0.02
+DURATION = 0.02
+"""s, of every run."""
 
 
 def far(rng: Generator, low: float, high: float) -> float:
@@ -332,27 +329,27 @@ def mutant(name: str) -> Callable[[Generator], Scene]:
     return draw
 
 
-MACHINES = {
-    "flight": Machine(flight),
-    "stick": Machine(stick),
-    "scissors": Machine(scissors),
-    "pendulum": Machine(pendulum),
-    "tissue": Machine(tissue),
-    "floor": Machine(floor),
-    "slope": Machine(slope),
-    "channel": Machine(channel),
-    "bend": Machine(bend),
-    "gate": Machine(gate),
-    "nip": Machine(nip),
-    "two_nips": Machine(two_nips),
-    "hard_pair": Machine(hard_pair),
-    "idle": Machine(idle),
-    "entry": Machine(entry),
-    "stuck": Machine(stuck),
-    "pair_of_sheets": Machine(pair_of_sheets),
-    "skin": Machine(skin),
-    "film_feeder": Machine(mutant("film_feeder")),
-    "gap_bridge": Machine(mutant("gap_bridge")),
-    "jam_layout": Machine(mutant("jam_layout")),
-    "long_path": Machine(mutant("long_path")),
+MACHINES: dict[str, Callable[[Generator], Scene]] = {
+    "flight": flight,
+    "stick": stick,
+    "scissors": scissors,
+    "pendulum": pendulum,
+    "tissue": tissue,
+    "floor": floor,
+    "slope": slope,
+    "channel": channel,
+    "bend": bend,
+    "gate": gate,
+    "nip": nip,
+    "two_nips": two_nips,
+    "hard_pair": hard_pair,
+    "idle": idle,
+    "entry": entry,
+    "stuck": stuck,
+    "pair_of_sheets": pair_of_sheets,
+    "skin": skin,
+    "film_feeder": mutant("film_feeder"),
+    "gap_bridge": mutant("gap_bridge"),
+    "jam_layout": mutant("jam_layout"),
+    "long_path": mutant("long_path"),
 }

@@ -24,7 +24,7 @@ def complaints(scene: Scene, run: Trajectory) -> list[str]:
         found += _gaping(name, sheet, track.nodes)
         for part, body in sorted(scene.guides.items()):
             if isinstance(body, LineGuide | ArcGuide) and body.motion is None:
-                found += _across(part, body, track.nodes)
+                found += across(part, body, track.nodes)
             elif isinstance(body, CircleGuide) and body.motion is None:
                 found += _inside(
                     part, np.broadcast_to(body.center, (len(run.time), 2)), float(body.radius), track.nodes
@@ -60,7 +60,7 @@ def _inside(part: str, centers: np.ndarray, radius: float, nodes: np.ndarray) ->
     return [f"the sheet is {depth:.3g} mm deep in {part}"] if depth > allowed else []
 
 
-def _across(part: str, guide: Any, nodes: np.ndarray) -> list[str]:
+def across(part: str, guide: Any, nodes: np.ndarray) -> list[str]:
     """A bar whose ends lie on both sides of the face, one of them behind its depth, and which meets the face."""
     height = _height(guide, nodes)
     a, b = height[:, :-1], height[:, 1:]

@@ -20,7 +20,7 @@ from diffeed import tuning
 from diffeed.causes import CAUSES
 from diffeed.parts import Scene
 from diffeed.trajectory import Trajectory
-from tests.search.machines import MACHINES
+from tests.search.machines import DURATION, MACHINES
 from tests.search.oracle import complaints
 
 FRAMES = 11
@@ -71,7 +71,7 @@ class Tally(NamedTuple):
 
 def scene_of(machine: str, seed: int) -> Scene:
     """The scene of a structure and a seed, the same on every machine."""
-    return MACHINES[machine].draw(np.random.default_rng([seed, *machine.encode()]))
+    return MACHINES[machine](np.random.default_rng([seed, *machine.encode()]))
 
 
 def valid_scenes(machine: str, first: int, count: int) -> tuple[list[tuple[int, Scene]], int]:
@@ -95,7 +95,7 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
     dt = STEPS[method]
     for batch, real in _batches(scenes, min(BATCH, count)):
         stacked = diffeed.stack([made for _, made in batch])
-        coarse, fine = (_run(stacked, machine, dt=dt / part, method=method) for part in (1, FINER))
+        coarse, fine = (_run(stacked, dt=dt / part, method=method) for part in (1, FINER))
         for i, (seed, made) in enumerate(batch[:real]):
             one, other = _sample(coarse, i), _sample(fine, i)
             held += bool(one.ok)
@@ -106,8 +106,7 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
     sensitive = 0
     for batch, real in _batches(doubted, FEW):
         opinions = [
-            _run(diffeed.stack([made for _, made, _ in batch]), machine, tolerance=t, most_steps=MOST)
-            for t in TOLERANCES
+            _run(diffeed.stack([made for _, made, _ in batch]), tolerance=t, most_steps=MOST) for t in TOLERANCES
         ]
         for i, (seed, _, one) in enumerate(batch[:real]):
             rough, fine = (_sample(run, i) for run in opinions)
@@ -146,11 +145,9 @@ def _agree(one: Trajectory, other: Trajectory) -> bool:
     return bool(apart <= max(WRONG, SHARE * way))
 
 
-def _run(stacked: Scene, machine: str, **options: object) -> Trajectory:
-    duration = MACHINES[machine].duration
-
+def _run(stacked: Scene, **options: object) -> Trajectory:
     def run(scene: Scene) -> Trajectory:
-        return diffeed.simulate(scene, duration=duration, frames=FRAMES, **options)  # type: ignore[arg-type]
+        return diffeed.simulate(scene, duration=DURATION, frames=FRAMES, **options)  # type: ignore[arg-type]
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", diffeed.SinglePrecision)
