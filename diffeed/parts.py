@@ -5,6 +5,7 @@ Every number is a leaf of the pytree, so the gradient of a scene is a scene; kin
 """
 
 import warnings
+from importlib import import_module
 from typing import Any, TypeVar
 
 import jax
@@ -293,6 +294,11 @@ class Scene:
         choices=("bars", "smooth"),
     )
     goal: str = word(default="", doc="sensor that the tail must pass for the run to count as passed; empty: none")
+
+    def _repr_html_(self) -> str:
+        """The machine as a drawing: what a notebook shows for a cell that ends with a scene."""
+        # Pictures are made floors above this one, and only a notebook asks for them here.
+        return import_module("diffeed.scene_html").scene_html(self)
 
 
 def normalise(scene: Scene) -> Scene:

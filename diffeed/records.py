@@ -10,6 +10,8 @@ from typing import Any, TypeVar, dataclass_transform
 
 import jax
 
+from diffeed.record_html import record_table
+
 T = TypeVar("T")
 REQUIRED = dataclasses.MISSING
 
@@ -56,6 +58,8 @@ def part(
 def record(cls: type[T]) -> type[T]:
     """Make `cls` a frozen, keyword-only dataclass and a JAX pytree whose `word` fields are static."""
     made = dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(cls)
+    if "_repr_html_" not in vars(cls):
+        made._repr_html_ = record_table  # type: ignore[attr-defined]
     static = [f.name for f in dataclasses.fields(made) if f.metadata.get("role") == "word"]  # type: ignore[arg-type]
     leaves = [f.name for f in dataclasses.fields(made) if f.name not in static]  # type: ignore[arg-type]
     return jax.tree_util.register_dataclass(made, data_fields=leaves, meta_fields=static)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    words names records tuning terminal files folders toml_text limits smooth causes
+    words names record_html records tuning terminal files folders toml_text limits smooth causes
     shapes skin contact_law
     parts
     check_values
@@ -47,6 +47,7 @@ RANKS = """
     labels outlines plot_style player_data
     plot_machine
     plot player
+    scene_html
     gradient_trust gradient_faults
     report outputs
     session
