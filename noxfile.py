@@ -1,0 +1,21 @@
+"""Checks beyond one environment: every supported Python, the lowest and the newest dependencies. `pip install nox uv; nox`."""
+
+import nox
+
+nox.options.default_venv_backend = "uv"
+nox.options.sessions = ["tests", "lowest"]
+QUICK = ("-m", "not slow", "-n", "2")
+
+
+@nox.session(python=["3.11", "3.12", "3.13"])
+def tests(session: nox.Session) -> None:
+    """The fast tests with the newest dependencies."""
+    session.install("--upgrade", "-e", ".[test]")
+    session.run("pytest", *(session.posargs or QUICK))
+
+
+@nox.session(python="3.11")
+def lowest(session: nox.Session) -> None:
+    """The fast tests with the oldest dependencies that pyproject.toml admits."""
+    session.install("--resolution", "lowest-direct", "-e", ".[test]")
+    session.run("pytest", *(session.posargs or QUICK))
