@@ -18,4 +18,5 @@ def tests(session: nox.Session) -> None:
 def lowest(session: nox.Session) -> None:
     """The fast tests with the oldest dependencies that pyproject.toml admits."""
     session.install("--resolution", "lowest-direct", "-e", ".[test]")
-    session.run("pytest", *(session.posargs or QUICK))
+    old = ("-W", "default::DeprecationWarning")  # of old packages, about each other
+    session.run("pytest", *old, *(session.posargs or QUICK))

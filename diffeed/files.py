@@ -1,14 +1,13 @@
 """Numbers as JSON takes them, and files that are whole or not there."""
 
 import contextlib
+import math
 import os
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
-
-import numpy as np
 
 
 def plain(value: Any) -> Any:
@@ -19,11 +18,13 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if value is None or isinstance(value, (str, bool, int)):
         return value
+    import numpy as np  # only here: help texts must come at once
+
     array = np.asarray(value)
     if array.ndim:
         return plain(array.tolist())
     number = array.item()
-    return None if isinstance(number, float) and not np.isfinite(number) else number
+    return None if isinstance(number, float) and not math.isfinite(number) else number
 
 
 def write_whole(path: str | os.PathLike[str], text: str) -> None:

@@ -98,6 +98,7 @@ def test_approach_too_fast_to_be_resolved(method):
     assert bool(slow.ok), slow.failure.describe()
 
 
+@pytest.mark.slow
 def test_no_speed_passes_a_post_unseen():
     """Whatever the step, a run that holds has the strip above the post."""
     speeds = np.geomspace(100.0, 1e6, 64)
@@ -230,7 +231,7 @@ def test_what_the_checks_find_has_no_derivative():
         scene = diffeed.put(thrown(1.0), "sheets.strip.velocity", jnp.stack([jnp.zeros(()), -speed]))
         return diffeed.simulate(scene, duration=0.01, dt=1e-4, frames=2).error
 
-    assert float(told(2000.0)) > 2.0 * float(told(1000.0)) > 0.0
+    assert float(told(4000.0)) > 1.5 * float(told(2000.0)) > 0.0
     assert float(jax.grad(told)(2000.0)) == 0.0
 
 

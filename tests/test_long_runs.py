@@ -108,6 +108,7 @@ def hashed(run) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in leaves)).hexdigest()
 
 
+@pytest.mark.slow
 def test_the_same_bits_again_and_in_chunks():
     """Run twice; and in two halves, which end where the whole does to rounding: their searches fall on other steps."""
     scene = drum()

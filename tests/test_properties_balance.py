@@ -105,6 +105,7 @@ def test_time_runs_backwards_too(method, seed):
     assert _there_and_back(slider(seed, damped=False, friction=False), method, 1e-5) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_midpoint_rule_comes_back_at_any_step(seed):
     """Time-reversible, as far as its Newton passes converge; at the same steps another method of order two is far off."""

@@ -55,6 +55,7 @@ def same(a, b):
 # --- known answers ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_linear_measure_has_the_known_variance_and_blame(rows):
     """A settled nip carries its preload and the little by which its spring is compressed: force = preload + spring u."""
     summary = summarise(problem(), rows, slopes(problem(), rows.deviation[:4]))

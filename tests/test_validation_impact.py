@@ -83,6 +83,7 @@ def test_deepest_penetration() -> None:
         np.testing.assert_allclose(0.05 - np.min(track[:, 0, 1]), entry["max_penetration"], rtol=1.5e-3)
 
 
+@pytest.mark.slow
 def test_restitution_slopes() -> None:
     """By damping and by impact speed, through the whole bounce."""
     entries = [e for e in case(DROPPED)["reference"] if e["m"] == e["n"]]
@@ -145,6 +146,7 @@ def test_oblique_impact() -> None:
     np.testing.assert_allclose(found["vx"], 0.0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_oblique_impact_at_first_order() -> None:
     exact, found = case(OBLIQUE)["reference"], extrapolated(landing(ORDER_ONE, MANY), landing(ORDER_ONE, TWICE))
     for name in ("y", "th", "vy", "omega"):
@@ -213,6 +215,7 @@ def test_creep_and_slip(law: str, method: str, steps: int) -> None:
             np.testing.assert_allclose(speed[-1], entry["v_creep"], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_creep_slope() -> None:
     """Creep speed by friction coefficient."""
 

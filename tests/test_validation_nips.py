@@ -128,6 +128,7 @@ def test_slip_of_a_nip(law: str, method: str, steps: int, duration: float) -> No
         np.testing.assert_allclose(turning, steady(trajectory.sheets["sheet"].velocities[:, 0, 0]), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_slopes_of_slip() -> None:
     """By drag and by friction coefficient."""
     given = case(SINGLE)["parameters"]
@@ -177,7 +178,10 @@ def balanced(entry: dict[str, Any], forces: list[float]) -> float:
     return brentq(excess, min(speeds) - 20.0, max(speeds) + 20.0, xtol=1e-12)
 
 
-@pytest.mark.parametrize(("method", "dt", "duration"), [(ORDER_FOUR, 5e-7, 0.01), (ORDER_ONE, 1e-5, 0.05)])
+@pytest.mark.parametrize(
+    ("method", "dt", "duration"),
+    [pytest.param(ORDER_FOUR, 5e-7, 0.01, marks=pytest.mark.slow), (ORDER_ONE, 1e-5, 0.05)],
+)
 def test_two_nips(method: str, dt: float, duration: float) -> None:
     for entry in case(DOUBLE)["reference"]:
         trajectory = run(paced(entry), duration, round(duration / dt), frames=11, method=method)
@@ -282,7 +286,7 @@ def settled(below: str) -> tuple[np.ndarray, list[diffeed.Linearisation]]:
     return np.asarray(travels), [jax.tree.map(lambda v, k=k: v[k], about) for k in range(len(travels))]
 
 
-@pytest.mark.parametrize("below", ["roller", "held bar", "loose bar"])
+@pytest.mark.parametrize("below", ["roller", pytest.param("held bar", marks=pytest.mark.slow), "loose bar"])
 def test_nip_load_and_frequency(below: str) -> None:
     travels, about = settled(below)
     for k, entry in enumerate(case(SPRUNG)["reference"]):
@@ -309,6 +313,7 @@ def test_nip_load_that_a_run_reports() -> None:
         np.testing.assert_allclose(found, exact, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_slopes_of_nip_load() -> None:
     """By preload and by spring stiffness, through the rest state."""
 
@@ -337,7 +342,7 @@ def assert_released(entry: dict[str, Any], found: np.ndarray) -> None:
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-3 * entry["one_contact"]["delta"])
 
 
-@pytest.mark.parametrize("below", ["roller", "held bar"])
+@pytest.mark.parametrize("below", ["roller", pytest.param("held bar", marks=pytest.mark.slow)])
 def test_release_from_touch(below: str) -> None:
     for entry in case(SPRUNG)["reference"]:
         found = released(entry, 60 * 50, ORDER_FOUR, below)

@@ -138,6 +138,7 @@ def test_modulus_slope_against_differences() -> None:
     assert np.max(relative(forward_slopes(80), differences)) < 1e-4
 
 
+@pytest.mark.slow
 def test_modulus_slope_forward_is_reverse() -> None:
     assert np.max(relative(tip_slopes(80, jax.jacrev), forward_slopes(80))) < 1e-9
 
@@ -337,6 +338,7 @@ def test_pushed_to_a_stop(ends: str) -> None:
     np.testing.assert_allclose(found, exact, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_search_from_a_near_rest_ends_at_the_same_rest_with_the_same_slope() -> None:
     scene = nip(initial="settled")
     near = diffeed.settle(scene)
