@@ -27,6 +27,7 @@ from diffeed.session import (
 from diffeed.terminal import SETTINGS, console, refusing
 
 if TYPE_CHECKING:
+    from diffeed.earlier import Earlier
     from diffeed.parts import Scene
     from diffeed.trajectory import Trajectory
 
@@ -43,6 +44,7 @@ class Request:
     frames: int
     out: Path | None
     assignments: tuple[str, ...]
+    before: Path | None
     force: bool
     float32: bool
 
@@ -75,7 +77,8 @@ def main() -> None:
     epilog="""\b
 Examples:
   diffeed run film_feeder
-  diffeed run film_feeder --out results --set rollers.drive_1.radius=10.2
+  diffeed run film_feeder --out first
+  diffeed run film_feeder --set rollers.drive_1.radius=10.2 --out second --before first
   diffeed run my_machine.toml --duration 0.5 --dt 5e-5 --out fine --force
   diffeed run my_machine.toml --tolerance 0.01
 \b
@@ -99,6 +102,12 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
     help="Write pictures, an animation (player.html), data.npz, scene.toml and summary.json into FOLDER.",
 )
 @SET
+@click.option(
+    "--before",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Results of an earlier run: tell what differs, and play both runs in one player.",
+)
 @click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
 @click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
 def run(**arguments: Any) -> None:
@@ -142,6 +151,7 @@ main.add_command(advise)
 
 
 def _run(ask: Request) -> int:
+    from diffeed.earlier import read_run
     from diffeed.folders import OutputError, draft_of, refuse_overwriting
     from diffeed.outputs import FILES
 
@@ -150,13 +160,14 @@ def _run(ask: Request) -> int:
         if ask.out:
             refuse_overwriting(ask.out, kept)  # at once
         begun = time.perf_counter()
+        earlier = read_run(ask.before) if ask.before else None
         set_up(ask.float32)
         say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
         scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
-            return _finish(ask, scene, progress, draft)
+            return _finish(ask, scene, progress, draft, earlier)
 
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
@@ -181,11 +192,11 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     return progress
 
 
-def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None) -> int:
+def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None") -> int:
     """Report and write what there is; the exit status."""
     from diffeed.outputs import write_files
     from diffeed.pieces import cut_at_failure
-    from diffeed.report import print_report, summarise
+    from diffeed.report import print_changes, print_report, summarise
     from diffeed.trajectory import join
 
     trajectory = cut_at_failure(join(progress.pieces))
@@ -196,10 +207,12 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
             "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
         }  # fmt: skip
     print_report(console(), summary)
+    if earlier:
+        print_changes(console(), earlier.summary, summary)
     if not trajectory.ok:
         say(f"The run failed {trajectory.failure.describe()}.\n{_hint(ask, int(trajectory.failure.cause))}")
     if ask.out and draft:
-        names = write_files(draft, ask.out, scene, trajectory, summary)
+        names = write_files(draft, ask.out, scene, trajectory, summary, earlier and (earlier.scene, earlier.run))
         click.echo(f"written to {ask.out}: {', '.join(names)}")
     if progress.stopped:
         leave_at_once(130)
@@ -215,7 +228,7 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
 
     from diffeed.steppers import DEFAULT
 
-    settings = asdict(ask) | {"out": None if ask.out is None else str(ask.out)}
+    settings = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(ask).items()}
     simulated, dt = float(trajectory.time[-1]), float(trajectory.dt)
     first, *rest = progress.seconds[1:]
     took = {

@@ -18,9 +18,16 @@ PICTURES = ("machine.png", "paths.png", "slip.png", "nip_forces.png")
 FILES = (*PICTURES, "player.html", "data.npz", "scene.toml", SUMMARY)
 
 
-def write_files(draft: Path, folder: Path, scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> list[str]:
-    """Write every file of the run and move them to `folder`; the names of the files."""
-    return write_all(draft, folder, _writers(scene, trajectory, summary), FILES)
+def write_files(
+    draft: Path,
+    folder: Path,
+    scene: Scene,
+    trajectory: Trajectory,
+    summary: dict[str, Any],
+    before: tuple[Scene, Any] | None = None,
+) -> list[str]:
+    """Write every file of the run and move them to `folder`; the names of the files. `before`: drawn under it in the player."""
+    return write_all(draft, folder, _writers(scene, trajectory, summary, before), FILES)
 
 
 def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
@@ -33,7 +40,9 @@ def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
     return found
 
 
-def _writers(scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Callable[[Path], Any]]:
+def _writers(
+    scene: Scene, trajectory: Trajectory, summary: dict[str, Any], before: tuple[Scene, Any] | None
+) -> dict[str, Callable[[Path], Any]]:
     """File name -> what writes it. A run that failed in its first frame has no curves."""
     from diffeed import player, plot
     from diffeed.scene_file import save_scene
@@ -45,7 +54,8 @@ def _writers(scene: Scene, trajectory: Trajectory, summary: dict[str, Any]) -> d
     }
     if len(np.asarray(trajectory.time)) > 1:
         title = summary["run"]["scene"]
-        writers["player.html"] = lambda path: player.write_player(path, scene, trajectory, title=title)
+        first, second = ((scene, trajectory), None) if before is None else (before, (scene, trajectory))
+        writers["player.html"] = lambda path: player.write_player(path, *first, compare=second, title=title)
         writers["paths.png"] = picture(lambda: plot.paths(scene, trajectory, bars=_first_bars(scene)))
         if scene.rollers:
             writers["slip.png"] = picture(lambda: plot.slip(scene, trajectory))

@@ -4,8 +4,8 @@ import dataclasses
 from html import escape
 from typing import Any
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 MOST_NAMES = 12
 
@@ -34,16 +34,17 @@ def value_text(value: Any) -> str:
     """A value in one line: numbers as they are, long arrays by shape and range, parts by name."""
     if value is None:
         return "none"
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return f"traced {value.dtype}{list(value.shape)}"
     if callable(getattr(value, "describe", None)):
         return _described(value)
     if isinstance(value, str):
         return value or "none"
+    keys: Any = getattr(value, "keys", None)
+    if callable(keys):
+        return _names(tuple(keys()))
     if isinstance(value, tuple) and all(isinstance(v, str) for v in value):
-        return _names(list(value))
-    if callable(getattr(value, "keys", None)):
-        return _names(list(value.keys()))
+        return _names(value)
     if dataclasses.is_dataclass(value):
         return type(value).__name__
     try:
@@ -59,7 +60,7 @@ def _described(value: Any) -> str:
         return type(value).__name__
 
 
-def _names(names: list[str]) -> str:
+def _names(names: tuple[Any, ...]) -> str:
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
     return ", ".join(map(str, names[:MOST_NAMES])) + more or "none"
 

@@ -1,5 +1,6 @@
 """What a run came to, as plain data (for a file) and as tables (for a terminal of 80 columns, or a pipe)."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from diffeed import measures
@@ -16,12 +17,16 @@ if TYPE_CHECKING:
 OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
 """What must be observed for a report."""
 COLORS = {"passed": "bold green", "late": "bold yellow"}
+COMPARED = {"slip_rms": "slip RMS (mm/s)", "force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
+"""Of each roller, before and after."""
 NEAREST = 8
 """Gaps in the table; the rest are in the summary."""
 CREEP = (
     "Slip: roller surface minus sheet. Creep floor: the slip that the regularised friction needs to carry the load; "
     "slip of that size counts as sticking."
 )
+SAME = 1e-3
+"""Of a value: less is no change in a comparison."""
 PRESSED = "Negative: pressed into the part."
 
 
@@ -56,6 +61,21 @@ def print_report(console: "Console", summary: dict[str, Any]) -> None:
     console.print(f"\n{_took(summary['run'])}")
 
 
+def print_changes(console: "Console", before: dict[str, Any], after: dict[str, Any]) -> None:
+    """What differs between two summaries by more than 0.1 %."""
+    table = plain_table("", "before", "after", "change")
+    for name, old, new in _compared(before, after):
+        if isinstance(old, str) or isinstance(new, str):
+            if old != new:
+                table.add_row(name, old, new, "")
+        elif (old is None) != (new is None):
+            table.add_row(name, _digits(old), _digits(new), "")
+        elif old is not None and abs(new - old) > SAME * max(abs(old), abs(new)):
+            table.add_row(name, _digits(old), _digits(new), f"{new - old:+.3g}")
+    console.print(f"\nBefore and after, what differs by more than {100 * SAME:g} %", style="bold")
+    console.print(table if table.row_count else "nothing")
+
+
 # --- data -----------------------------------------------------------------------------------------------------------
 
 
@@ -84,6 +104,26 @@ def _gaps(trajectory: Trajectory) -> dict[str, Any]:
     gaps = trajectory.observed["gaps"]
     found = {f"{section}.{name}": value.gap for section in sorted(gaps) for name, value in gaps[section].items()}
     return dict(sorted(found.items(), key=lambda item: float(item[1])))
+
+
+def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Name, value before and value after, of what both runs have."""
+    yield "verdict", before["verdict"]["status"], after["verdict"]["status"]
+    for name in after["sheets"]:
+        old, new = before["sheets"].get(name, {}), after["sheets"][name]
+        yield f"{name}: fed (mm)", old.get("fed"), new["fed"]
+        yield f"{name}: largest curvature (1/mm)", old.get("largest_curvature"), new["largest_curvature"]
+        for sensor, times in new["arrivals"].items():
+            for edge in ("lead", "tail"):
+                yield (
+                    f"{name}: {edge} edge at {sensor} (s)",
+                    old.get("arrivals", {}).get(sensor, {}).get(edge),
+                    times[edge],
+                )
+    for name in after["rollers"]:
+        old, new = before["rollers"].get(name, {}), after["rollers"][name]
+        for key, meaning in COMPARED.items():
+            yield f"{name}: {meaning}", old.get(key), new[key]
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------
@@ -167,6 +207,10 @@ def _took(run: dict[str, Any]) -> str:
         f"{run['run_seconds']:.1f} s to run.\n"
         f"The steps leave an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles or bounces"
     )
+
+
+def _digits(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _text(value: float | None, missing: str = "-") -> str:

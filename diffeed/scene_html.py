@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 import jax
+from jax.core import Tracer
 
 from diffeed import outlines, plot
 from diffeed.check_records import check_records
@@ -17,7 +18,7 @@ SHOWN_PROBLEMS = 5
 
 def scene_html(scene: Scene) -> str:
     """Drawing and list of parts; of a batch its first scene; of what cannot be a machine, a gradient say, the reason."""
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         return record_table(scene)
     many = _batch(scene)
     one = jax.tree.map(lambda leaf: leaf[0], scene) if many else scene

@@ -49,7 +49,7 @@ RANKS = """
     plot player
     scene_html
     gradient_trust gradient_faults
-    report outputs
+    report outputs earlier
     session
     bench bench.settings bench.timing bench.machine bench.outcome
     bench.jaxprs bench.pareto bench.records

@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 import diffeed
-from diffeed import cli, folders, outputs, pieces, report, tuning
+from diffeed import cli, earlier, folders, outputs, pieces, player_data, report, tuning
 
 ROOT = Path(__file__).parent.parent
 COMMAND = (sys.executable, "-m", "diffeed.cli")
@@ -153,6 +154,51 @@ def test_the_summary_says_what_was_run(finished, place):
     assert 4.0 < summary["rollers"]["pinch"]["force_mean"] < 6.0
     assert summary["sheets"]["strip"]["arrivals"]["exit"]["tail"] == pytest.approx(summary["verdict"]["time"])
     assert (place / "cache/diffeed/xla").is_dir()
+
+
+def test_a_changed_machine_is_held_against_the_run_before(finished, place):
+    done = command(
+        place, "run", "mini.toml", "--frames", "13", "--set", "rollers.pinch.preload=6", "--out", "results/second",
+        "--before", "results/first",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = done.stdout.split("what differs by more than 0.1 %\n")[1]
+    (row,) = re.findall(r"^pinch: normal mean \(N\) +([\d.]+) +([\d.]+) +\+([\d.]+)$", told, re.M)
+    old, new, change = map(float, row)
+    now, then = (json.loads((place / f"results/{f}/summary.json").read_text()) for f in ("second", "first"))
+    assert old == pytest.approx(then["rollers"]["pinch"]["force_mean"], rel=1e-3)
+    assert new == pytest.approx(now["rollers"]["pinch"]["force_mean"], rel=1e-3)
+    assert change == pytest.approx(1.0, abs=0.15)  # the preload's, and the mass of the roller in it
+    page = (place / "results/second/player.html").read_text()
+    (data,) = re.findall(r'<script id="data"[^>]*>(.*?)</script>', page, re.S)
+    shown = json.loads(data)
+    assert shown["labels"] == ["before", "after"]
+    with np.load(place / "results/first/data.npz") as first:
+        nodes = player_data.unpack(shown["runs"][0]["sheets"]["strip"]["nodes"])
+        np.testing.assert_array_equal(nodes, np.float32(first["sheets.strip.nodes"]))
+    assert shown["runs"][1]["rollers"]["pinch"]["force"] != shown["runs"][0]["rollers"]["pinch"]["force"]
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        (lambda folder: (folder / "summary.json").unlink(), "holds no results of `diffeed run`"),
+        (lambda folder: (folder / "summary.json").write_text("{}"), "holds no whole results"),
+        (lambda folder: (folder / "data.npz").write_bytes(b"PK"), "holds no whole results"),
+        (lambda folder: (folder / "scene.toml").unlink(), "holds no whole results"),
+        (lambda folder: np.savez(folder / "data.npz", time=np.array([{}], dtype=object)), "holds no whole results"),
+        (lambda folder: np.savez(folder / "data.npz", strange=np.zeros(2)), "holds no whole results"),
+    ],
+)
+def test_results_that_are_not_whole_are_refused(finished, place, tmp_path, harm, told):
+    folder = tmp_path / "old"
+    shutil.copytree(place / "results/first", folder)
+    earlier.read_run(folder)
+    harm(folder)
+    done = CliRunner().invoke(cli.main, ["run", "film_feeder", "--before", str(folder), "--out", str(tmp_path / "new")])
+    assert done.exit_code == 2
+    assert told in done.output
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_run_in_pieces_is_the_single_run(finished, place):

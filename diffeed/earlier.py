@@ -1,0 +1,53 @@
+"""The results of an earlier `diffeed run`, read back from their folder, to be shown beside those of a new one."""
+
+import json
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffeed.folders import OutputError
+from diffeed.outputs import SUMMARY
+from diffeed.parts import Scene
+from diffeed.scene_file import load_scene
+
+SECTIONS = ("sheets", "rollers", "guides")
+
+
+class Earlier(NamedTuple):
+    """A scene, its run as far as pictures need it (time, tracks by part, ok, failure), and its summary."""
+
+    scene: Scene
+    run: Any
+    summary: dict[str, Any]
+
+
+def read_run(folder: Path) -> Earlier:
+    """What `diffeed run --out FOLDER` has written; OutputError if FOLDER does not hold it, or not whole."""
+    if not (folder / SUMMARY).is_file():
+        raise OutputError(f"{folder} holds no results of `diffeed run` (there is no {SUMMARY} in it)")
+    try:
+        summary = json.loads((folder / SUMMARY).read_text("utf-8"))
+        with np.load(folder / "data.npz", allow_pickle=False) as data:
+            tracks = {key: data[key] for key in data.files}
+        return Earlier(load_scene(folder / "scene.toml"), _run(tracks, summary["verdict"]), _comparable(summary))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise OutputError(f"{folder} holds no whole results of `diffeed run`: {error}") from None
+
+
+def _run(tracks: dict[str, np.ndarray], verdict: dict[str, Any]) -> Any:
+    parts: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
+    for key, values in tracks.items():
+        if key != "time":
+            section, name, field = key.split(".")
+            setattr(parts[section].setdefault(name, SimpleNamespace()), field, values)
+    failed = verdict["status"] == "failed"
+    failure = SimpleNamespace(describe=lambda: f"at {verdict['time']:.6g} s: {verdict['reason']}")
+    return SimpleNamespace(time=tracks["time"], ok=not failed, failure=failure, **parts)
+
+
+def _comparable(summary: dict[str, Any]) -> dict[str, Any]:
+    """The summary, if it holds what is compared."""
+    return summary | {key: dict(summary[key]) for key in ("verdict", "rollers", "sheets")}
