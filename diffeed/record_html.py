@@ -40,9 +40,8 @@ def value_text(value: Any) -> str:
         return _described(value)
     if isinstance(value, str):
         return value or "none"
-    keys: Any = getattr(value, "keys", None)
-    if callable(keys):
-        return _names(tuple(keys()))
+    if callable(getattr(value, "keys", None)):
+        return _names(tuple(iter(value)))
     if isinstance(value, tuple) and all(isinstance(v, str) for v in value):
         return _names(value)
     if dataclasses.is_dataclass(value):
