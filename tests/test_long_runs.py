@@ -56,13 +56,19 @@ def test_sixty_seconds_on_a_drum(method):
 
     turned = np.unwrap(np.arctan2(nodes[:, 0, 1], nodes[:, 0, 0]))
     early, late = turned[1500] - turned[500], turned[-1] - turned[-1001]
-    assert late == pytest.approx(early, rel=2e-3)
-    assert turned[-1] - turned[0] == pytest.approx(2.0 * np.pi * 60.0 / TURN, rel=0.02)
+    assert late == pytest.approx(early, rel=1e-5)  # not whole turns of a chain that ripples by 1e-5 of the way
+    polygon = (
+        (15.0 / 2.0) ** 2 / (2.0 * RADIUS) / RADIUS
+    )  # how far from the drum a bar's middle may lie, over the radius
+    assert turned[-1] - turned[0] == pytest.approx(2.0 * np.pi * 60.0 / TURN, rel=polygon)
     headings = np.asarray(run.sheets["paper"].headings)
-    assert headings[-1, 0] - headings[0, 0] == pytest.approx(turned[-1] - turned[0], abs=0.5), "they never wrap"
+    assert headings[-1, 0] - headings[0, 0] == pytest.approx(turned[-1] - turned[0], abs=0.3 / 15.0), (
+        "they never wrap; a bar may tilt by the clearance over its length"
+    )
 
     book = ledger(scene, jax.tree.map(lambda v: v[::20], run.states))
     energy = np.asarray(book.energy)
+    # Bars ripple: samples scatter by 7 %, so that means of 50 differ by 2 % at two sigma.
     assert energy[-50:].mean() == pytest.approx(energy[25:75].mean(), rel=0.02)
 
 
