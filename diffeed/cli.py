@@ -74,6 +74,7 @@ def main() -> None:
 
 @main.command(
     context_settings=SETTINGS,
+    short_help="Run a scene and report how the sheet ran.",
     epilog="""\b
 Examples:
   diffeed run film_feeder
@@ -139,9 +140,25 @@ def check(scene: str, dt: float | None, method: str | None, assignments: tuple[s
     click.echo("sound")
 
 
-@main.command(context_settings=SETTINGS)
-def scenes() -> None:
-    """List the scenes that come with diffeed."""
+@main.command(
+    context_settings=SETTINGS,
+    short_help="List the scenes that come with diffeed, or print one.",
+    epilog="""\b
+Examples:
+  diffeed scenes
+  diffeed scenes film_feeder > my_machine.toml
+""",
+)
+@click.argument("name", required=False)
+def scenes(name: str | None) -> None:
+    """List the scenes that come with diffeed, or print the file of one: a start for a machine of your own."""
+    from diffeed.check_records import SceneError
+    from diffeed.scene_file import shipped_text
+
+    if name is not None:
+        with refusing(SceneError):
+            click.echo(shipped_text(name), nl=False)
+        return
     for name, purpose in diffeed.shipped_scenes().items():
         click.echo(f"{name}\n{click.wrap_text(purpose, width=78, initial_indent='  ', subsequent_indent='  ')}")
 

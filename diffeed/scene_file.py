@@ -56,6 +56,14 @@ def shipped_scenes() -> dict[str, str]:
     return {name: _first_comment(file.read_text(encoding="utf-8")) for name, file in sorted(_shipped().items())}
 
 
+def shipped_text(name: str) -> str:
+    """The file of a shipped scene, comments and all; SceneError if there is none of that name."""
+    if name not in _shipped():
+        known = ", ".join(sorted(_shipped()))
+        raise SceneError([f"there is no shipped scene of that name; there are: {known}"], name)
+    return _shipped()[name].read_text(encoding="utf-8")
+
+
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all."""
     write_whole(path, scene_text(scene))

@@ -27,7 +27,10 @@ SET = click.option(
     metavar="PATH=VALUE",
     help="Change a value of the scene, e.g. rollers.drive_1.radius=10.2 or guides.turn.center[1]=80. Repeatable.",
 )
-METHOD = click.option("--method", help="Time stepper; a wrong name lists them. Default: the robust implicit one.")
+METHOD = click.option(
+    "--method",
+    help="Time stepper: linear_euler (robust; default), extrapolated_euler, midpoint or runge_kutta (explicit).",
+)
 
 
 def set_up(float32: bool = False, keep: bool = True) -> None:

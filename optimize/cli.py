@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from diffeed.folders import OutputError, holding, plain_errors, publishing
+from diffeed.files import write_whole
+from diffeed.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
 from diffeed.terminal import SETTINGS, Refusal, console, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
@@ -76,7 +77,7 @@ def design(
             click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
 
 
-@main.command(context_settings=SETTINGS)
+@main.command(context_settings=SETTINGS, short_help="May the gradients of a study be believed?")
 @STUDY
 @FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the table, as text and as numbers.")
@@ -101,7 +102,7 @@ def check(study: str, fuse: bool, out: Path | None, force: bool, samples: int) -
         click.echo(f"written to {out}: {', '.join(FILES)}")
 
 
-@main.command(context_settings=SETTINGS)
+@main.command(context_settings=SETTINGS, short_help="The gradient beside searches without one.")
 @STUDY
 @FUSE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for comparison.json and comparison.png.")
@@ -129,15 +130,42 @@ def compare(study: str, fuse: bool, out: Path | None, force: bool, budget: int) 
         click.echo(f"written to {out}: {', '.join(FILES)}")
 
 
-@main.command(context_settings=SETTINGS)
-def studies() -> None:
-    """List the studies that come with the package."""
-    from optimize.study_file import is_tolerance, read_table, shipped_studies
+@main.command(context_settings=SETTINGS, short_help="List the studies that come with the package, or copy one.")
+@click.argument("name", required=False)
+@click.option("--out", type=click.Path(path_type=Path), help="Folder to copy study NAME into, with its scene.")
+@FORCE
+def studies(name: str | None, out: Path | None, force: bool) -> None:
+    """List the studies that come with the package, or copy one: a start for a study of your own.
 
+    \b
+    Examples:
+      python -m optimize studies
+      python -m optimize studies nip_slip --out mine
+    """
+    from optimize.asked import StudyError
+    from optimize.study_file import is_tolerance, read_table, shipped_files, shipped_studies
+
+    if name is not None:
+        with refusing(StudyError, OutputError):
+            _copy(shipped_files(name), out, force)
+        return
     for name in sorted(shipped_studies()):
         table, _ = read_table(name)
         kind = "tolerance" if is_tolerance(table) else "design"
         click.echo(f"{name} ({kind})\n  {table.get('title', '')}")
+
+
+def _copy(files: dict[str, Path], out: Path | None, force: bool) -> None:
+    """Into a folder, or the first of them to the screen."""
+    if out is None:
+        click.echo(next(iter(files.values())).read_text("utf-8"), nl=False)
+        return
+    refuse_overwriting(out, () if force else tuple(files))
+    with plain_errors(str(out)):
+        for name, file in files.items():
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            write_whole(out / name, file.read_text("utf-8"))
+    click.echo(f"written to {out}: {', '.join(files)}")
 
 
 @main.command(context_settings=SETTINGS)

@@ -70,6 +70,17 @@ def shipped_studies() -> dict[str, Path]:
     return {f.name.removesuffix(".toml"): Path(str(f)) for f in folder.iterdir() if f.name.endswith(".toml")}
 
 
+def shipped_files(name: str) -> dict[str, Path]:
+    """The file of a shipped study, and that of its scene if it has one of its own, by the name that a copy must have."""
+    shipped = shipped_studies()
+    if name not in shipped:
+        raise StudyError([f"there is no shipped study of that name; there are: {', '.join(sorted(shipped))}"], name)
+    file = shipped[name]
+    scene = toml_text.read(file, MAX_BYTES)["scene"]
+    own = {scene: file.parent / scene} if (file.parent / scene).is_file() else {}
+    return {file.name: file} | own
+
+
 def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
     try:
         if not file.is_file():

@@ -22,6 +22,8 @@ from rich.console import Console
 
 import diffeed
 from diffeed import cli, earlier, folders, outputs, pieces, player_data, report, tuning
+from diffeed.bench.cli import bench
+from optimize.cli import main as optimize_main
 
 ROOT = Path(__file__).parent.parent
 COMMAND = (sys.executable, "-m", "diffeed.cli")
@@ -359,6 +361,25 @@ def test_scenes_are_listed_with_their_purpose():
     listed = invoke("scenes").output
     assert listed.startswith("film_feeder\n  The film feeding machine")
     assert {line for line in listed.splitlines() if line[0] != " "} == set(diffeed.shipped_scenes())
+
+
+def test_a_shipped_scene_is_printed_as_it_stands():
+    done = invoke("scenes", "gap_bridge")
+    assert done.output == (ROOT / "diffeed/scenes/gap_bridge.toml").read_text()
+    again = invoke("scenes", "gap_brige")
+    assert again.exit_code == 2
+    assert "there is no shipped scene of that name; there are: film_feeder, gap_bridge" in again.output
+
+
+def test_every_method_is_named_in_the_help():
+    assert all(method in invoke("run", "--help").output for method in diffeed.METHODS)
+
+
+@pytest.mark.parametrize("group", [cli.main, bench, optimize_main])
+def test_every_command_is_listed_by_a_whole_sentence(group):
+    listed = CliRunner().invoke(group, ["--help"], terminal_width=80).output
+    assert not re.search(r"\w\.\.\.", listed)
+    assert all(name in listed for name in group.commands)
 
 
 def test_results_are_not_overwritten_without_force(tmp_path):

@@ -11,7 +11,9 @@ from click.testing import CliRunner
 from stand_in_nip import nip
 
 import diffeed
+import optimize
 from optimize.cli import main
+from optimize.study_file import read_table
 
 ROOT = Path(__file__).parent.parent
 STUDY = """
@@ -48,6 +50,25 @@ def run(place, *words):
         [sys.executable, "-m", "optimize", *words], cwd=place, capture_output=True, text=True, timeout=300,
         env={"PATH": "/usr/bin:/bin", "HOME": str(place), "PYTHONPATH": str(ROOT), "COLUMNS": "110"},
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(optimize.shipped_studies()))
+def test_a_shipped_study_is_copied_with_its_scene(tmp_path, name):
+    done = CliRunner().invoke(main, ["studies", name, "--out", str(tmp_path / "mine")])
+    assert done.exit_code == 0, done.output
+    mine = read_table(str(tmp_path / "mine" / f"{name}.toml"))[0]
+    shipped = read_table(name)[0]
+    assert diffeed.scene_text(diffeed.load_scene(mine["scene"])) == diffeed.scene_text(
+        diffeed.load_scene(shipped["scene"])
+    )
+    assert {k: v for k, v in mine.items() if k != "scene"} == {k: v for k, v in shipped.items() if k != "scene"}
+    assert mine["scene"] in diffeed.shipped_scenes() or str(tmp_path) in mine["scene"]
+    again = CliRunner().invoke(main, ["studies", name, "--out", str(tmp_path / "mine")])
+    assert again.exit_code == 2
+    assert f"already holds {name}.toml" in again.output
+    forced = CliRunner().invoke(main, ["studies", name, "--out", str(tmp_path / "mine"), "--force"])
+    assert forced.exit_code == 0
+    assert CliRunner().invoke(main, ["studies", name]).output == (tmp_path / "mine" / f"{name}.toml").read_text()
 
 
 def test_help_needs_nothing_heavy():

@@ -49,6 +49,7 @@ class SceneGroup(click.Group):
 @click.group(
     cls=SceneGroup,
     context_settings=SETTINGS,
+    short_help="Measure what speed costs in accuracy.",
     epilog="""\b
 Examples:
   diffeed bench film_feeder --out costs
@@ -63,6 +64,7 @@ def bench() -> None:
 
 @bench.command(
     context_settings=SETTINGS,
+    short_help="Error against run time at several settings.",
     epilog="""\b
 Examples:
   diffeed bench film_feeder --out costs
@@ -113,7 +115,7 @@ def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
         )
 
 
-@bench.command(context_settings=SETTINGS)
+@bench.command(context_settings=SETTINGS, short_help="What each feature of a scene costs.")
 @OUT
 @click.option("--only-equations", is_flag=True, help="Count, but compile and time nothing.")
 @FORCE
@@ -137,6 +139,7 @@ def features(out: Path | None, only_equations: bool, force: bool) -> None:
 
 @bench.command(
     context_settings=SETTINGS,
+    short_help="Samples per second in a batch.",
     epilog="""\b
 Examples:
   diffeed bench batch
@@ -169,7 +172,7 @@ def batch(out: Path | None, force: bool, **options: Any) -> None:
         )  # fmt: skip
 
 
-@bench.command(context_settings=SETTINGS)
+@bench.command(context_settings=SETTINGS, short_help="Where each stepper is right, inaccurate or wrong.")
 @OUT
 @QUICK
 @FORCE
@@ -234,6 +237,7 @@ def _batch(
 
 @click.command(
     context_settings=SETTINGS,
+    short_help="Name the cheapest settings that meet an accuracy.",
     epilog="""\b
 Examples:
   diffeed advise film_feeder --error 0.2

@@ -14,7 +14,7 @@ from diffeed.terminal import SETTINGS, Refusal, console, refusing
 SCENE = click.option("--scene", help="Another scene of the same parts (an improved one), instead of the study's.")
 
 
-@click.command(context_settings=SETTINGS)
+@click.command(context_settings=SETTINGS, short_help="How often will it fail, and which tolerance is to blame?")
 @click.argument("study")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the samples, the result and the pictures.")
 @click.option("--resume", is_flag=True, help="Go on with the study that stopped in --out.")
@@ -72,7 +72,7 @@ def tolerance(study: str, **options: Any) -> None:
             _run(problem, **options)
 
 
-@click.command(context_settings=SETTINGS)
+@click.command(context_settings=SETTINGS, short_help="Which sheets pass: a map over two quantities.")
 @click.argument("study")
 @SCENE
 @click.option(
