@@ -43,6 +43,8 @@ def scene_of(data: bytes, where: str) -> Scene:
 
 
 def _scene(table: dict[str, Any], where: str) -> Scene:
+    if "scene" in table and "sheets" not in table:
+        raise SceneError(["this is a study, not a scene; the scene that it names is in its `scene`"], where)
     problems: list[str] = []
     scene = _read(Scene, "", table, problems)
     problems += check_records(scene)

@@ -30,7 +30,9 @@ def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     where = os.fspath(name_or_path)
     table, _ = read_table(where)
     if is_tolerance(table):
-        raise StudyError(["this is a tolerance study (it has tolerances, no variables)"], where)
+        raise StudyError(
+            ["this is a tolerance study (it has tolerances, no variables): python -m optimize tolerance runs it"], where
+        )
     return make_study(table, where)
 
 
@@ -44,6 +46,8 @@ def read_table(where: str) -> tuple[dict[str, Any], Path]:
     shipped = shipped_studies()
     file = shipped.get(where, Path(where))
     table = _parse(file, where, sorted(shipped))
+    if "sheets" in table and "scene" not in table:
+        raise StudyError([f'this is a scene, not a study; a study names it: scene = "{Path(where).name}"'], where)
     scene = table.get("scene")
     if isinstance(scene, str) and not os.path.isabs(scene):
         beside = file.parent / scene

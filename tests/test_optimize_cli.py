@@ -71,6 +71,16 @@ def test_a_shipped_study_is_copied_with_its_scene(tmp_path, name):
     assert CliRunner().invoke(main, ["studies", name]).output == (tmp_path / "mine" / f"{name}.toml").read_text()
 
 
+def test_a_scene_is_not_a_study_nor_a_study_a_scene(tmp_path):
+    (tmp_path / "machine.toml").write_text(diffeed.scene_text(nip()))
+    done = CliRunner().invoke(main, ["design", str(tmp_path / "machine.toml")])
+    assert done.exit_code == 2
+    assert 'this is a scene, not a study; a study names it: scene = "machine.toml"' in done.output
+    (tmp_path / "study.toml").write_text(STUDY)
+    with pytest.raises(diffeed.SceneError, match="this is a study, not a scene"):
+        diffeed.load_scene(tmp_path / "study.toml")
+
+
 def test_help_needs_nothing_heavy():
     code = """
 import sys

@@ -71,7 +71,12 @@ def load_tolerance(name_or_path: str | os.PathLike[str], **changes: Any) -> Tole
     where = os.fspath(name_or_path)
     table, folder = read_table(where)
     if "variables" in table and "tolerances" not in table:
-        raise StudyError(["this is a study for a design search (it has variables, no tolerances)"], where)
+        raise StudyError(
+            [
+                "this is a study for a design search (it has variables, no tolerances): python -m optimize design runs it"
+            ],
+            where,
+        )
     return make_tolerance(table | changes, where, folder)
 
 
