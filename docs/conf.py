@@ -33,10 +33,8 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 80
 
 nitpick_ignore_regex = [
-    (
-        "py:.*",
-        r"(jax|jaxlib|numpy|np|matplotlib|pydantic|pathlib|os|collections|typing|click)\..*",
-    ),  # other projects' pages
+    # Of other projects: their pages cannot be asked without a network.
+    ("py:.*", r"((jax|numpy|matplotlib|pydantic|pathlib|os|collections|typing)\..*|Axes)"),
     ("py:.*", r"diffeed\.paths\.T"),  # a type variable: the same type comes back
     ("py:.*", r"optimize\.descent\.(Progress|Line)"),  # of a search on its way: for those who read its source
     ("py:.*", r"optimize\.(asked\.Asked|tolerance\.(contributions\.Slopes|statistics\.Indices))"),  # likewise

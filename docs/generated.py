@@ -73,8 +73,8 @@ def scene_fields() -> str:
 
 
 def _record(head: str, kind: type) -> str:
-    rows = [(f"`{f.name}`", _takes(f), _default(f), _sentence(f.metadata["doc"])) for f in fields(kind)]
-    return f"{head}\n\n{_plain_doc(kind)}\n\n{table(('Field', 'Takes', 'Default', 'Meaning'), rows)}"
+    rows = [(f"`{f.name}`", f"{_takes(f)}; {_default(f)}", _sentence(f.metadata["doc"])) for f in fields(kind)]
+    return f"{head}\n\n{_plain_doc(kind)}\n\n{table(('Field', 'Takes', 'Meaning'), rows)}"
 
 
 def _takes(field: dataclasses.Field[Any]) -> str:
@@ -105,8 +105,8 @@ def _default(field: dataclasses.Field[Any]) -> str:
     if is_required(field):
         return "**required**"
     if field.default is None or field.default is REQUIRED:
-        return "none"
-    return f"`{json.dumps(np.asarray(field.default).tolist())}`"
+        return "optional"
+    return f"default `{json.dumps(np.asarray(field.default).tolist())}`"
 
 
 # --- study files --------------------------------------------------------------------------------------------------------
@@ -140,10 +140,10 @@ def _model(what: str, section: str, kind: type[BaseModel]) -> str:
     )
     title = f"### {kind.__name__} of a {what}" if section else f"### The {what} itself"
     rows = [
-        (f"`{name}`", _admits(f.annotation, f.metadata), _given(f), f.description or "")
+        (f"`{name}`", f"{_admits(f.annotation, f.metadata)}; {_given(f)}", f.description or "")
         for name, f in kind.model_fields.items()
     ]
-    return "\n\n".join([title, where, _plain_doc(kind), table(("Field", "Takes", "Default", "Meaning"), rows)])
+    return "\n\n".join([title, where, _plain_doc(kind), table(("Field", "Takes", "Meaning"), rows)])
 
 
 def _admits(kind: Any, bounds: Any = ()) -> str:
@@ -181,7 +181,8 @@ def _given(field: Any) -> str:
     if field.is_required():
         return "**required**"
     value = field.get_default(call_default_factory=True)
-    return "none" if value in (None, {}, [], "") or isinstance(value, BaseModel) else f"`{json.dumps(value)}`"
+    empty = value in (None, {}, [], "") or isinstance(value, BaseModel)
+    return "optional" if empty else f"default `{json.dumps(value)}`"
 
 
 def terms() -> str:

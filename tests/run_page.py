@@ -67,8 +67,10 @@ def files(page: Path) -> dict[str, str]:
     """Name and text of the files that a page shows."""
     found = {}
     for block in blocks(page):
-        if "caption" in block.options:
-            shown = block.text if block.kind != "{literalinclude}" else (page.parent / block.argument).read_text("utf-8")
+        if block.kind in ("toml", "{literalinclude}") and "caption" in block.options:
+            shown = (
+                block.text if block.kind != "{literalinclude}" else (page.parent / block.argument).read_text("utf-8")
+            )
             found[block.options["caption"]] = shown
     return found
 
