@@ -21,6 +21,8 @@ html_static_path = ["_static"]
 html_css_files = ["style.css"]
 html_math_renderer = "mathml"  # of extension.py
 html_show_copyright = False
+pygments_style = "tango"
+pygments_dark_style = "monokai"
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3

@@ -77,6 +77,25 @@ def test_python_is_python(page):
             compile("\n" * (block.line - 1) + block.text, str(page), "exec")
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_code_is_as_wide_as_the_page(page):
+    """Longer lines hide behind a scroll bar; a patch is as wide as the source."""
+    for block in blocks(page):
+        if block.kind in ("python", "sh", "toml", "text"):
+            assert all(len(line) <= 92 for line in block.text.splitlines()), block.text
+    for text in files(page).values():
+        assert all(len(line) <= 92 for line in text.splitlines()), text
+
+
+def test_figures_of_the_trade_are_those_of_the_readme():
+    """Its tables are the README's own; what is told beside them must not be another's."""
+    known = set(re.findall(r"\d+(?:[.,]\d+)*(?:e-?\d+)?", (ROOT / "README.md").read_text("utf-8")))
+    page = re.sub(r"```.*?```|`[^`]*`", "", (DOCS / "trade.md").read_text("utf-8"), flags=re.S)
+    told = set(re.findall(r"\d+(?:[.,]\d+)*(?:e-?\d+)?", page))
+    assert len(told) > 8
+    assert told <= known, told - known
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if p not in PATCHED], ids=name)
 def test_toml_is_read(page, tmp_path, monkeypatch):
     """Every TOML block is a file with a name, and a scene or study without a problem."""
