@@ -33,7 +33,7 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def read_scene(text: str) -> Scene:
-    """The scene of a scene file's text, as `scene_text` writes it."""
+    """The scene of a scene file's text, as `scene_text` writes it. SceneError lists everything that is wrong with it."""
     return scene_of(text.encode("utf-8", "surrogatepass"), "scene")
 
 
@@ -57,7 +57,8 @@ def shipped_scenes() -> dict[str, str]:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all."""
+    """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all. SceneError, and
+    nothing written, if something is wrong with the scene."""
     write_whole(path, scene_text(scene))
 
 
