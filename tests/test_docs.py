@@ -266,6 +266,7 @@ def test_the_runner_runs_all_kinds_in_order_and_stops_at_an_error(tmp_path):
     assert shell("pip install x\nls") == "ls"
     page.write_text(page.read_text().replace("'3'", "'2'"))
     subprocess.run([sys.executable, ROOT / "tests" / "run_page.py", page], cwd=tmp_path, check=True)
-    page.write_text(page.read_text().replace("cat b", "cat not-there | cat"))
-    done = subprocess.run([sys.executable, ROOT / "tests" / "run_page.py", page], cwd=tmp_path, capture_output=True)
-    assert done.returncode == 1
+    for failing in ("cat not-there", "cat not-there | cat", "false\ntrue"):
+        page.write_text(f"```sh\n{failing}\n```\n")
+        command = [sys.executable, ROOT / "tests" / "run_page.py", page]
+        assert subprocess.run(command, cwd=tmp_path, capture_output=True).returncode == 1, failing

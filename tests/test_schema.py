@@ -227,6 +227,8 @@ def test_every_field_of_a_study_is_described(kind):
         for name, entry in record["properties"].items():
             assert entry.get("description"), (record["title"], name)
     assert set(schema["properties"]) == set(STUDIES[kind].model_fields)
+    assert '"null"' not in json.dumps(schema), "TOML has none: an editor must not offer it"
+    assert "null," not in json.dumps(schema)
 
 
 def test_measures_and_methods_that_are_none_are_refused():
