@@ -21,6 +21,8 @@ html_static_path = ["_static"]
 html_css_files = ["style.css"]
 html_math_renderer = "mathml"  # of extension.py
 html_show_copyright = False
+html_copy_source = False
+html_theme_options = {"top_of_page_buttons": []}
 pygments_style = "tango"
 pygments_dark_style = "monokai"
 
