@@ -46,7 +46,8 @@ def checked(scene: Scene) -> Scene:
 
 
 def make_scene(**parts: Any) -> Scene:
-    """`Scene(...)`, checked and normalised: numbers, lists and tuples become arrays."""
+    """`Scene(...)`, checked and normalised: numbers, lists and tuples become arrays. SceneError lists everything that is
+    wrong with the records; `diffeed.check` judges the geometry."""
     return checked(Scene(**parts))
 
 

@@ -24,7 +24,7 @@ from diffeed.session import (
     set_up,
     stoppable,
 )
-from diffeed.terminal import SETTINGS, console, refusing
+from diffeed.terminal import SETTINGS, console, hand_out, refusing
 
 if TYPE_CHECKING:
     from diffeed.earlier import Earlier
@@ -161,6 +161,25 @@ def scenes(name: str | None) -> None:
         return
     for name, purpose in diffeed.shipped_scenes().items():
         click.echo(f"{name}\n{click.wrap_text(purpose, width=78, initial_indent='  ', subsequent_indent='  ')}")
+
+
+@main.command(
+    context_settings=SETTINGS,
+    epilog="""\b
+Examples:
+  diffeed schema --out diffeed.schema.json
+\b
+In an editor that knows TOML schemas, write at the top of a scene file:
+  #:schema ./diffeed.schema.json
+""",
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Write it to FILE.")
+@click.option("--force", is_flag=True, help="Replace FILE.")
+def schema(out: Path | None, force: bool) -> None:
+    """Print the JSON schema of scene files, by which an editor completes and checks them."""
+    from diffeed.schema import scene_schema, schema_text
+
+    hand_out(schema_text(scene_schema()), out, force)
 
 
 main.add_command(bench)

@@ -268,7 +268,7 @@ SECTIONS: dict[str, dict[str, type]] = {
 
 @record
 class Scene:
-    """A machine and the sheets in it. Dictionaries are keyed by part name ([A-Za-z0-9_]+)."""
+    """A machine and the sheets in it. Dictionaries are keyed by part name: letters, digits and underscores."""
 
     sheets: dict[str, Sheet] = part(doc="sheets", kinds=(Sheet,), many=True, default_factory=dict)
     rollers: dict[str, Any] = part(doc="rollers", kinds=(FixedRoller, MovableRoller), many=True, default_factory=dict)

@@ -28,7 +28,8 @@ class PathError(ValueError):
 
 
 def get(scene: Scene, path: str) -> Any:
-    """The value at a path: a number, a vector, a word, a part or a whole section."""
+    """The value at a path: a number, a vector, a word, a part or a whole section. PathError, a ValueError, says what is
+    wrong with a path that leads nowhere, and what there is."""
     names, index = _split(path)
     node, ndim = scene, 0
     for depth, name in enumerate(names):
@@ -40,14 +41,15 @@ def get(scene: Scene, path: str) -> Any:
 def put(scene: T, path: str, value: Any) -> T:
     """A copy of the scene with another value at a path; the rest is shared.
 
-    Numbers may be traced and become arrays, words stay static; "none" takes an optional number away.
+    Numbers may be traced and become arrays, words stay static; "none" takes an optional number away. Whether the value is
+    sound, `diffeed.check` says. PathError, a ValueError, for a path that leads nowhere.
     """
     names, index = _split(path)
     return _put(scene, names, 0, path, lambda old, f: _changed(old, f, index, value, path))
 
 
 def unit(scene: Scene, path: str) -> str:
-    """The unit of the number at a path."""
+    """The unit of the number at a path, "1" if it has none. PathError, a ValueError, for a path that holds no number."""
     names, _ = _split(path)
     get(scene, path)
     node, found = scene, None
@@ -62,7 +64,8 @@ def unit(scene: Scene, path: str) -> str:
 
 
 def numbers(scene: Any) -> dict[str, Any]:
-    """Path and value of every number that is given, entry by entry, in the order of the records."""
+    """Path and value of every number that is given, entry by entry, in the order of the records: of a scene, or of the
+    gradient of one."""
     return dict(_walk("", scene))
 
 

@@ -70,6 +70,11 @@ def fields(kind: type | object) -> Iterator[dataclasses.Field[Any]]:
     return iter(dataclasses.fields(kind))  # type: ignore[arg-type]
 
 
+def is_required(field: dataclasses.Field[Any]) -> bool:
+    """Whether a field has no default: a file must give it."""
+    return field.default is REQUIRED and field.default_factory is REQUIRED
+
+
 def replace(instance: T, **changes: Any) -> T:
     """A copy of a record with some fields changed."""
     return dataclasses.replace(instance, **changes)  # type: ignore[type-var]

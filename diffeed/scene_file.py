@@ -17,7 +17,7 @@ from diffeed.files import write_whole
 from diffeed.limits import MAX_PARTS
 from diffeed.names import hint, nearest
 from diffeed.parts import SECTIONS, Profile, Scene, normalise
-from diffeed.records import REQUIRED, fields
+from diffeed.records import fields, is_required
 from diffeed.toml_text import TomlError
 from diffeed.words import key_text
 
@@ -33,7 +33,7 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def read_scene(text: str) -> Scene:
-    """The scene of a scene file's text, as `scene_text` writes it."""
+    """The scene of a scene file's text, as `scene_text` writes it. SceneError lists everything that is wrong with it."""
     return scene_of(text.encode("utf-8", "surrogatepass"), "scene")
 
 
@@ -67,7 +67,8 @@ def shipped_text(name: str) -> str:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all."""
+    """Write a scene so that `load_scene` gives back the same bits; a file is replaced whole or not at all. SceneError, and
+    nothing written, if something is wrong with the scene."""
     write_whole(path, scene_text(scene))
 
 
@@ -126,7 +127,7 @@ def _read(kind: type, path: str, table: dict[str, Any], problems: list[str]) -> 
     for key in table:
         if key not in known and len(problems) < MOST_PROBLEMS:
             problems.append(f"{_join(path, key)} is not a field of {kind.__name__}{hint(key, known)}")
-    given = [f for f in known.values() if f.name in table or _required(f)]
+    given = [f for f in known.values() if f.name in table or is_required(f)]
     return kind(**{f.name: _read_value(_join(path, f.name), f, table.get(f.name), problems) for f in given})
 
 
@@ -164,10 +165,6 @@ def _kind_problem(path: str, word: Any, kinds: dict[str, type]) -> str:
     return f"{path}.kind must be {quote(kinds)}, but is {show(word)}{nearest(word, kinds)}"
 
 
-def _required(field: Field) -> bool:
-    return field.default is REQUIRED and field.default_factory is REQUIRED
-
-
 def _join(path: str, name: str) -> str:
     return f"{path}.{key_text(name)}" if path else key_text(name)
 
@@ -186,7 +183,7 @@ def _record_lines(path: str, word: str, record: Any) -> Iterator[str]:
         value = getattr(record, f.name)
         if f.metadata["role"] == "part":
             parts.append((_join(path, f.name), value))
-        elif _required(f) or not _is_default(value, f):
+        elif is_required(f) or not _is_default(value, f):
             yield f"{f.name} = {_value_text(value, f)}"
     for where, value in parts:
         yield from _part_lines(where, value)

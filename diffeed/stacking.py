@@ -9,7 +9,7 @@ from diffeed.parts import Profile, Scene, normalise
 
 
 def stack(scenes: list[Scene]) -> Scene:
-    """Join scenes of one structure into one whose leaves have a leading axis; `jax.vmap(simulate)` takes it.
+    """Join scenes of one structure into one whose leaves have a leading axis, (scenes, ...); `jax.vmap(simulate)` takes it.
 
     Shorter profiles repeat their last point. Raises ValueError, naming the path, where structures differ.
     """

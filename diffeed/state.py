@@ -19,12 +19,12 @@ class State:
 
     time: Any  # s
     x: Any  # (sheets,) mass centre, mm
-    y: Any
+    y: Any  # (sheets,) mm
     heading: Any  # (bars,) rad
     travel: Any  # (movable,) mm
     angle: Any  # (rollers,) rad
     vx: Any  # (sheets,) mm/s
-    vy: Any
+    vy: Any  # (sheets,) mm/s
     rate: Any  # (bars,) rad/s
     travel_rate: Any  # (movable,) mm/s
     spin: Any  # (free,) rad/s

@@ -359,10 +359,10 @@ class Linearisation:
     Units kg, mm, s, rad. `basis` (coordinates, n) maps back to mass centres, headings, travels and free angles.
     """
 
-    mass: Any
-    damping: Any
-    stiffness: Any
-    basis: Any
+    mass: Any  # (n, n) kg, kg mm2
+    damping: Any  # (n, n) kg/s, kg mm2/s
+    stiffness: Any  # (n, n) kg/s2, kg mm2/s2
+    basis: Any  # (coordinates, n)
     sheets: tuple[str, ...] = word(default=(), doc="names of the sheets", type=tuple)
 
     def modes(self) -> tuple[np.ndarray, np.ndarray]:

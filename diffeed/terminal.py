@@ -1,7 +1,9 @@
 """What the commands share: settings of their help, refusals without traceback, console and tables."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -29,6 +31,21 @@ def refusing(*kinds: type[Exception]) -> Iterator[None]:
         yield
     except kinds as error:
         raise Refusal(str(error)) from error
+
+
+def hand_out(text: str, file: Path | None, force: bool) -> None:
+    """Print a text, or write it to a file, which is replaced only with `force`."""
+    from diffeed.files import write_whole
+    from diffeed.folders import OutputError, plain_errors
+
+    if file is None:
+        click.echo(text, nl=False)
+        return
+    with refusing(OutputError), plain_errors(f"{file} was not written"):
+        if os.path.lexists(file) and not force:
+            raise OutputError(f"{file} is there already; add --force to replace it")
+        write_whole(file, text)
+    click.echo(f"written to {file}")
 
 
 def console(stderr: bool = False) -> "Console":

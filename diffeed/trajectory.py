@@ -122,9 +122,9 @@ class Trajectory:
     time: Any = number(unit="s", doc="(frames,)")
     dt: Any = number(unit="s", doc="step actually taken; with a tolerance, their mean")
     steps: Any = number(unit="1", doc="steps taken")
-    sheets: dict[str, SheetTrack] = number(unit="", doc="by name")
-    rollers: Parts[RollerTrack] = number(unit="", doc="by name")
-    guides: Parts[GuideTrack] = number(unit="", doc="by name")
+    sheets: dict[str, SheetTrack] = number(unit="", doc="a SheetTrack by name")
+    rollers: Parts[RollerTrack] = number(unit="", doc="a RollerTrack by name")
+    guides: Parts[GuideTrack] = number(unit="", doc="a GuideTrack by name")
     error: Any = number(
         unit="mm",
         doc="estimate of what the steps' length leaves in the sheet's place: half of each step at the speed gained in it, "
@@ -142,13 +142,13 @@ class Resume:
     """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s),
     the sheets' energy and the error so far."""
 
-    state: State
-    cause: Any
-    failed_at: Any
-    open: dict[str, Any]
-    next_step: Any
-    book: Any
-    error: Any
+    state: State  # at the end of the run
+    cause: Any  # number of the cause of a failure, 0 for none
+    failed_at: Any  # s
+    open: dict[str, Any]  # observations that go on, by name
+    next_step: Any  # s
+    book: Any  # of the sheets' energy
+    error: Any  # mm, so far
 
 
 def join(pieces: list[Trajectory]) -> Trajectory:

@@ -9,7 +9,7 @@ import click
 
 from diffeed.files import write_whole
 from diffeed.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
-from diffeed.terminal import SETTINGS, Refusal, console, refusing
+from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
 STUDY = click.argument("study")
@@ -174,6 +174,25 @@ def media() -> None:
     from optimize.tolerance.media import table
 
     click.echo(table())
+
+
+@main.command(context_settings=SETTINGS)
+@click.argument("kind", type=click.Choice(["design", "tolerance"]))
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Write it to FILE.")
+@click.option("--force", is_flag=True, help="Replace FILE.")
+def schema(kind: str, out: Path | None, force: bool) -> None:
+    """Print the JSON schema of study files of a KIND, by which an editor completes and checks them.
+
+    \b
+    Example:
+      python -m optimize schema design --out study.schema.json
+    In an editor that knows TOML schemas, write at the top of a study:
+      #:schema ./study.schema.json
+    """
+    from diffeed.schema import schema_text
+    from optimize.schema import study_schema
+
+    hand_out(schema_text(study_schema(kind)), out, force)
 
 
 def _changes(iterations: int | None, seconds: float | None) -> dict[str, Any]:

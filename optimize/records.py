@@ -30,9 +30,13 @@ Pair = tuple[float, float]
 
 
 class Record(BaseModel):
-    """Unknown keys are errors, infinities and NaN are errors, nothing changes after it was read."""
+    """Unknown keys are errors, infinities and NaN are errors, nothing changes after it was read.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+    The text below a field is its description in the schema and in the documentation."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, strict=False, use_attribute_docstrings=True
+    )
 
 
 class Moved(Record):
@@ -43,10 +47,15 @@ class Moved(Record):
     """
 
     path: str | list[str] | None = None
+    """A number of the scene by its path, or several that share one value."""
     shift: list[str] | None = None
+    """Rollers or guides ("guides.turn") that move together along `direction`, mm from where they are drawn."""
     turn: list[str] | None = None
+    """Rollers or guides that turn together about `about`, degrees."""
     direction: Pair | None = None
+    """Of a shift; its length does not count."""
     about: Pair | None = None
+    """mm: the point of a turn."""
     meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
 
     @model_validator(mode="after")
@@ -75,14 +84,23 @@ class Runs(Record):
     """
 
     scene: str
+    """Name of a shipped scene, or path of a scene file; a relative one counts from the study file."""
     duration: Positive | None = None
+    """s: length of a run; the scene's own if not given."""
     dt: Positive = 5e-4
+    """s: longest step."""
     step_tolerance: Positive | None = None
+    """mm: choose steps by their error, none longer than `dt` if that is given."""
     most_steps: Annotated[int, Field(ge=1, le=MAX_STEPS)] = 20_000
+    """With a `step_tolerance`: steps of one run; memory of a reverse-mode gradient grows with it."""
     frames: Annotated[int, Field(ge=2, le=100_001)] = 41
+    """Moments of a run that are looked at, evenly spaced."""
     method: str = "linear_euler"
+    """Time stepper."""
     set: dict[str, Any] = Field(default_factory=dict)
+    """Numbers and words of the scene by path, changed before anything else."""
     title: Title = ""
+    """For pictures and tables."""
 
     @property
     def stepping(self) -> dict[str, Any]:
@@ -97,16 +115,22 @@ class Measured(Record):
     """A measure of a run: of which parts, and at which sensor."""
 
     measure: str
+    """What is measured of a run."""
     of: str | list[str] | None = None
+    """Roller or sheet, or several: their mean; the first sheet if a measure of sheets names none."""
     at: str | None = None
+    """Sensor, for arrivals."""
 
 
 class Limit(Measured):
     """An inequality constraint on a measure. `scale` is the size of a violation that matters."""
 
     at_least: float | None = None
+    """Smallest value that is allowed, in the unit of the measure."""
     at_most: float | None = None
+    """Largest value that is allowed."""
     scale: Positive = 1.0
+    """Size of a violation that matters, in the unit of the measure."""
 
     @model_validator(mode="after")
     def _a_limit(self) -> "Limit":

@@ -20,9 +20,13 @@ class Variable(Moved):
     """One number that the search may change."""
 
     bounds: Pair
+    """Lower and upper value, in the variable's own unit."""
     start: float | None = None
+    """Where the search begins; the scene's value if not given, no movement for a shift or a turn."""
     transform: Literal["bounded", "log"] = "bounded"
+    """With "log", equal steps are equal shares; needs bounds > 0."""
     tolerance: Positive | None = None
+    """Step that a designer would make, for checks and expected gradients; 1 % of the range if not given."""
 
     @model_validator(mode="after")
     def _holds_its_start(self) -> "Variable":
@@ -40,23 +44,31 @@ class Goal(Measured):
     """One term of the objective: weight * ((measure - target)/scale)^2 with a target, weight * measure/scale without."""
 
     weight: float = 1.0
+    """Factor of this term; a negative one asks for more of the measure."""
     target: float | None = None
+    """Value to come near to; without it, less is better."""
     scale: Positive = 1.0
+    """Size that counts as one, in the unit of the measure."""
 
 
 class Medium(Record):
     """Another sheet through the same machine: numbers of the scene by path."""
 
     set: dict[str, Any] = Field(default_factory=dict)
+    """Numbers and words of the scene by path."""
     weight: Positive = 1.0
+    """Share of this medium in the mean over media."""
 
 
 class Stage(Record):
     """A part of the search with easier settings: smoothing and stick speed times `smoothing`, another run length."""
 
     iterations: Iterations
+    """Iterations of this stage."""
     smoothing: Annotated[float, Field(ge=1)] = 1.0
+    """Smoothing lengths and stick speeds times this."""
     duration: Positive | None = None
+    """s: length of its runs; the study's if not given."""
 
 
 class Robust(Record):
@@ -67,42 +79,72 @@ class Robust(Record):
     """
 
     samples: Annotated[int, Field(ge=1, le=1024)] = 16
+    """Machines at every point."""
     over: Literal["mean", "worst", "cvar"] = "mean"
+    """What is made of their objectives."""
     tail: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """Share of machines that count as the worst, for cvar."""
     redraw: bool = False
+    """New deviations in every iteration."""
     seed: Seed = 0
+    """Of the deviations."""
 
 
 class Search(Record):
     """How to search. `name`: an optimiser of optax; a step of the unit variables is about `learning_rate` long."""
 
     name: str = "adam"
+    """An optimiser of optax, or lbfgs."""
     learning_rate: Positive = 0.05
+    """Length of a step, in shares of the variables' ranges."""
     schedule: Literal["constant", "cosine", "exponential"] = "constant"
+    """How the learning rate falls over the iterations of a stage."""
     clip: Positive | None = None
+    """Longest gradient that is let through, in the objective per range."""
     iterations: Iterations = 60
+    """Iterations, where no stages are given."""
     starts: Annotated[int, Field(ge=1, le=256)] = 1
+    """Searches from as many points: the study's own start, the others spread about it."""
     spread: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """How far other starts lie from the first, in shares of the range."""
     seed: Seed = 0
+    """Of starts and samples."""
     gradient: Literal["exact", "expected"] = "exact"
+    """With "expected", the mean over points within the tolerances is followed."""
     samples: Annotated[int, Field(ge=2, le=1024)] = 8
+    """Points of an expected gradient."""
     patience: Iterations = 15
+    """Iterations without a gain after which the search stops."""
     gain: Nonnegative = 1e-3
+    """Share of the objective that counts as a gain."""
     goal: float | None = None
+    """Objective at which the search stops."""
     seconds: Positive | None = None
+    """Time after which the search stops."""
     penalty: Positive = 10.0
+    """First weight of broken limits; it grows as needed."""
     stages: Annotated[list[Stage], Field(max_length=100)] = Field(default_factory=list)
+    """Parts of the search, one after the other, with easier settings."""
 
 
 class Study(Runs):
     """A scene, what may change, what is wanted, what must hold, and how to search."""
 
     variables: Annotated[dict[Name, Variable], Field(min_length=1)]
+    """What may change, by name."""
     objective: Annotated[dict[Name, Goal], Field(min_length=1)]
+    """Terms of the objective by name; their sum is minimised."""
     limits: dict[Name, Limit] = Field(default_factory=dict)
+    """What must hold, by name."""
     media: dict[Name, Medium] = Field(default_factory=dict)
+    """Other sheets through the same machine, by name."""
     over: Literal["mean", "worst", "cvar"] = "mean"
+    """What is made of the objectives of several media."""
     tail: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of the media that count as the worst, for cvar."""
     tolerances: dict[Name, Tolerance] = Field(default_factory=dict)
+    """How numbers scatter, by name: the search then looks at several machines at every point."""
     robust: Robust = Robust()
+    """How the search sees tolerances."""
     search: Search = Search()
+    """How to search."""

@@ -19,19 +19,33 @@ class Tolerance(Moved):
     """
 
     climate: str | None = None
+    """Sheet whose media card moves with the climate, -1 dry to 1 humid; it needs a card in `media`."""
     kind: Literal["normal", "truncated_normal", "uniform", "triangular", "log_normal", "data"] = "normal"
+    """Distribution."""
     tolerance: Positive | None = None
+    """Plus-minus that stands for `sigmas` standard deviations; half the width if uniform or triangular."""
     sigmas: Positive = 3.0
+    """Standard deviations in a `tolerance`."""
     sigma: Positive | None = None
+    """Standard deviation, instead of a `tolerance`."""
     relative: bool = False
+    """Sizes are shares of the nominal value."""
     offset: float = 0.0
+    """The mean is off the nominal value by so much (wear)."""
     limits: Pair | None = None
+    """Deviations that inspection lets through (truncated_normal); the tolerance itself if not given."""
     tied: bool = False
+    """Several paths or parts share one draw."""
     group: Name | None = None
+    """Name of a group that is drawn together (one batch of rubber)."""
     correlation: Annotated[float, Field(ge=0, le=1)] = 0.8
+    """Within the group."""
     file: str | None = None
+    """CSV file of measured values (kind = "data"); a relative path counts from the study file."""
     column: str | None = None
+    """Heading of the values in that file."""
     cost: Positive | None = None
+    """Of making the tolerance 10 % tighter, in any unit."""
     meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "climate")
 
     @model_validator(mode="after")
@@ -68,9 +82,13 @@ class Axis(Record):
     """One side of a media latitude: numbers by path that share a value, or the climate of a sheet's card."""
 
     path: str | list[str] | None = None
+    """A number of the scene by path, or several that share one value."""
     climate: str | None = None
+    """Sheet whose media card moves with the climate."""
     range: Pair
+    """Lower and upper value."""
     points: Annotated[int, Field(ge=2, le=201)] = 21
+    """Values along the axis."""
 
     @model_validator(mode="after")
     def _one_meaning(self) -> "Axis":
@@ -89,21 +107,32 @@ class Latitude(Record):
     """Two quantities over which a map is drawn of what passes."""
 
     x: Axis
+    """Across."""
     y: Axis
+    """Upwards."""
 
 
 class ToleranceStudy(Runs):
     """A scene, how its numbers scatter, what is measured, what must hold, and how to sample."""
 
     dt: Positive = 2e-4
+    """s: longest step."""
     media: dict[Name, str] = Field(default_factory=dict)
+    """Media card of a sheet by its name: "copy_paper_80", or with a climate "copy_paper_80/humid"."""
     tolerances: Annotated[dict[Name, Tolerance], Field(min_length=1)]
+    """How numbers scatter, by name."""
     measures: dict[Name, Measured] = Field(default_factory=dict)
+    """What is recorded of each sample, by name."""
     limits: dict[Name, Limit] = Field(default_factory=dict)
+    """What must hold for a sample to pass, by name; recorded as well."""
     samples: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
+    """Machines that are drawn."""
     sampling: Literal["plain", "latin_hypercube", "sobol"] = "plain"
+    """How they are drawn."""
     seed: Seed = 0
+    """Of the draws."""
     latitude: Latitude | None = None
+    """A map over two quantities, for the command `latitude`."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> "ToleranceStudy":
