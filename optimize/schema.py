@@ -40,7 +40,7 @@ def _without_null(node: Any) -> Any:
         return [_without_null(v) for v in node]
     if not isinstance(node, dict):
         return node
-    found = {k: _without_null(v) for k, v in node.items() if not (k == "default" and v is None)}
+    found = {k: _without_null(v) for k, v in node.items() if v is not None}
     kept = [v for v in found.get("anyOf", ()) if v != {"type": "null"}]
     if len(kept) == 1:
         del found["anyOf"]
