@@ -23,7 +23,9 @@ def test_there_are_notebooks():
 def test_is_a_notebook_without_results(path):
     nbformat.validate(read(path))
     text = path.read_text(encoding="utf-8")
-    assert text == stripped(text), f"{path.name} holds results or settings: python -m tests.strip_notebooks takes them out"
+    assert text == stripped(text), (
+        f"{path.name} holds results or settings: python -m tests.strip_notebooks takes them out"
+    )
 
 
 @each_notebook
@@ -44,7 +46,9 @@ def test_is_listed(path):
 @each_notebook
 def test_runs_without_a_warning_and_leaves_nothing_behind(path, tmp_path):
     notebook = read(path)
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     said = [o.text for o in outputs if o.output_type == "stream" and o.name == "stderr"]
     assert said == []
