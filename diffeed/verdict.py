@@ -30,7 +30,7 @@ class Outcome(NamedTuple):
     reason: Array
     sheet: Array  # index into the sorted names of the sheets
     frame: Array  # frame at which it was found
-    time: Array  # s; infinite for a sheet that was moving freely at the end
+    time: Array  # s; infinite for a sheet that was still moving at the end
 
 
 class Verdict(NamedTuple):
@@ -57,7 +57,7 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
     name, reason = sorted(scene.sheets)[int(found.sheet)], int(found.reason)
     text = {
         REACHED: f"the tail of {name} passed {scene.goal}",
-        FREE: f"{name} was moving freely at the end",
+        FREE: f"{name} was still moving at the end",
         LATE: f"the tail of {name} has not reached {scene.goal} at the end of the run",
         FOLDS: f"{name} folded back on itself",
         STRAYS: f"{name} left the path",

@@ -10,6 +10,7 @@ import pytest
 from cases.reference import reference
 
 import diffeed
+from diffeed import Clamp, Sheet
 
 STEPS = {"f5": 5e-6, "p3": 1e-5, "p8": 4e-5, "p8d": 4e-5}
 """Case -> step at which Runge-Kutta has converged well below the tolerance."""
@@ -214,3 +215,36 @@ def test_runge_kutta_order() -> None:
     """At twice the step that the other tests take, the free chain is at least 2^4 times as far off."""
     coarse = last_frame("f5", "runge_kutta", 25, 2.0 * STEPS["f5"])
     assert error("f5", 25, coarse.nodes[0]) > 16.0 * error("f5", 25, exact_run("f5").nodes[25])
+
+
+@pytest.mark.parametrize(("method", "order"), [("linear_euler", 1.0), ("extrapolated_euler", 2.0), ("midpoint", 2.0)])
+def test_a_pinned_end_costs_no_order(method: str, order: float) -> None:
+    """A strip that swings from a pin, without contact, against the explicit method at small steps."""
+    sheet = Sheet(
+        length=80.0, thickness=0.1, width=20.0, density=1e-6, youngs_modulus=200.0, bars=4, lead=(40.0, 0.0),
+        structural_damping=1e-3,
+    )  # fmt: skip
+    scene = diffeed.scene(sheets={"strip": sheet}, clamps={"pin": Clamp(sheet="strip", at="tail")}, initial="given")
+
+    def nodes(method: str, dt: float) -> np.ndarray:
+        run = diffeed.simulate(scene, duration=0.064, dt=dt, frames=5, method=method)
+        assert bool(run.ok)
+        return np.asarray(run.sheets["strip"].nodes)
+
+    exact = nodes("runge_kutta", 1e-5)
+    errors = [np.abs(nodes(method, dt) - exact).max() for dt in (5e-4, 2.5e-4, 1.25e-4)]
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), order, atol=0.1)
+
+
+def test_a_limp_strip_hangs_from_its_pin_and_has_a_slope() -> None:
+    """Without stiffness there is no frequency that could close the pin's error; its root would have no slope."""
+    sheet = Sheet(length=40.0, thickness=0.1, width=20.0, density=1e-6, youngs_modulus=0.0, bars=2, lead=(40.0, 0.0))
+    scene = diffeed.scene(sheets={"strip": sheet}, clamps={"pin": Clamp(sheet="strip", at="tail")}, initial="given")
+
+    def pin(modulus: jax.Array) -> jax.Array:
+        stiff = diffeed.put(scene, "sheets.strip.youngs_modulus", modulus)
+        return diffeed.simulate(stiff, duration=0.05, dt=1e-4, frames=2).sheets["strip"].nodes[-1]
+
+    place, slope = pin(jnp.zeros(())), jax.jacfwd(pin)(jnp.zeros(()))
+    np.testing.assert_allclose(place[-1], (0.0, 0.0), atol=0.01)
+    assert np.isfinite(slope).all()
