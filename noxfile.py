@@ -17,6 +17,6 @@ def tests(session: nox.Session) -> None:
 @nox.session(python="3.11")
 def lowest(session: nox.Session) -> None:
     """The fast tests with the oldest dependencies that pyproject.toml admits."""
-    session.install("--resolution", "lowest-direct", "-e", ".[test]")
-    old = ("-W", "default::DeprecationWarning")  # of old packages, about each other
-    session.run("pytest", *old, *(session.posargs or QUICK))
+    of_then = "pyparsing<3.3"  # newer ones warn of what the lowest matplotlib calls
+    session.install("--resolution", "lowest-direct", "-e", ".[test]", of_then)
+    session.run("pytest", *(session.posargs or QUICK))

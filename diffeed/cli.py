@@ -165,6 +165,7 @@ def scenes(name: str | None) -> None:
 
 @main.command(
     context_settings=SETTINGS,
+    short_help="Print what a scene file may hold, for an editor.",
     epilog="""\b
 Examples:
   diffeed schema --out diffeed.schema.json

@@ -176,7 +176,7 @@ def media() -> None:
     click.echo(table())
 
 
-@main.command(context_settings=SETTINGS)
+@main.command(context_settings=SETTINGS, short_help="Print what a study file may hold, for an editor.")
 @click.argument("kind", type=click.Choice(["design", "tolerance"]))
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Write it to FILE.")
 @click.option("--force", is_flag=True, help="Replace FILE.")
