@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 SHOWN = 8
 """Arrows on the blame map."""
+FAINTEST = 0.01
+"""Of the largest gain: less gets no arrow."""
 
 
 def history(lines: list[dict[str, Any]], ax: "Axes | None" = None) -> "Axes":
@@ -51,6 +53,7 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = 
     written beside the largest."""
     ax = plot.machine(scene, run, frames=(0, -1), ax=ax)
     rows = gain_of(found)[:SHOWN]
+    rows = [row for row in rows if row[2] >= FAINTEST * rows[0][2]]  # the shortest arrow must not stand for nothing
     if not rows:
         return ax
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())

@@ -13,8 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from stand_in import film_feeder, run
 
+import diffeed
 from diffeed import labels, outlines, plot
 from diffeed.parts import ArcGuide, Clamp, LineGuide, Motion, Profile, Scene, Sensor, normalise
+from optimize.blame_map import Blame
+from optimize.pictures import blame_map
 
 SCENE = film_feeder()
 RUN = run(SCENE)
@@ -149,3 +152,19 @@ def test_curvature_of_a_circle():
 def test_initial_nodes_lie_behind_the_leading_edge():
     nodes = outlines.initial_nodes(SCENE.sheets["film"])
     np.testing.assert_allclose(nodes[[0, -1]], [[15.0, 0.0], [-185.0, 0.0]], atol=1e-5)
+
+
+def test_a_blame_map_has_no_arrow_for_what_does_not_matter():
+    scene = film_feeder()
+    slopes = {
+        "rollers.drive_1.center": (3.0, 4.0),
+        "rollers.idle.center": (0.0, -1.0),
+        "guides.turn.center": (1e-12, 0.0),
+    }
+    found = Blame(1.0, {path: np.array(slope) for path, slope in slopes.items()}, {})
+    arrows = [a for a in blame_map(scene, run(scene), found).texts if a.get_text() == "" and a.get_zorder() == 9]
+    starts, tips = ([np.array(place(a)) for a in arrows] for place in (lambda a: a.xyann, lambda a: a.xy))
+    assert len(arrows) == 2
+    np.testing.assert_allclose(starts[0], diffeed.get(scene, "rollers.drive_1.center"))
+    way = tips[0] - starts[0]
+    np.testing.assert_allclose(way / np.linalg.norm(way), (-0.6, -0.8))  # downhill
