@@ -363,19 +363,17 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
     return found[:, :-1], found[:, -1]
 
 
-SLOWEST_CLOSING = 100.0
-"""1/s."""
-
-
 def closing_rate(model: Model, bar: int) -> Array:
     """1/s: rate at which a clamp's error decays (Baumgarte).
 
     The bending frequency of one bar of the sheet: below the fastest that a stable explicit step resolves, whatever the
     units. A rate of the machine is part of the differential equation, so the order of the method is kept: one that grows
     as 1/h makes speeds of order h from the errors of order h^2 that a step or a stage leaves, and no extrapolation takes
-    those away. A sheet without stiffness has the slowest rate, which also keeps the root's slope finite.
+    those away. Zero for a sheet without stiffness.
     """
-    return jnp.sqrt(model.wall_stiffness[bar] / model.bars.inertia[bar] + SLOWEST_CLOSING**2)
+    squared = model.wall_stiffness[bar] / model.bars.inertia[bar]
+    stiff = squared > 0.0
+    return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, squared, 1.0)), 0.0)  # a root has no slope at zero
 
 
 def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> tuple[Array, Array]:
@@ -397,6 +395,8 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
     target = by_direction(hold_target(hold, state.time + step.h * float(step.implicit)))
     wanted = by_direction(_hold_speed(hold, state.time + step.h * float(step.implicit)))
     rate = closing_rate(model, k)
+    if step.implicit:
+        rate = jnp.where(rate > 0.0, rate, 1.0 / step.h)
     columns, values = [], []
     for d in hold.rows:
         columns.append(jnp.zeros((3, model.layout.n_bars)).at[:, k].set(jnp.stack(rows[d])))
