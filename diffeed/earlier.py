@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffeed.folders import OutputError
-from diffeed.outputs import SUMMARY
+from diffeed.outputs import SUMMARY, TRACKED
 from diffeed.parts import Scene
 from diffeed.scene_file import load_scene
-
-SECTIONS = ("sheets", "rollers", "guides")
 
 
 class Earlier(NamedTuple):
@@ -32,13 +30,15 @@ def read_run(folder: Path) -> Earlier:
         summary = json.loads((folder / SUMMARY).read_text("utf-8"))
         with np.load(folder / "data.npz", allow_pickle=False) as data:
             tracks = {key: data[key] for key in data.files}
-        return Earlier(load_scene(folder / "scene.toml"), _run(tracks, summary["verdict"]), _comparable(summary))
+        if not all(isinstance(summary[key], dict) for key in ("verdict", "sheets", "rollers")):
+            raise TypeError(f"{SUMMARY} is not that of a run")
+        return Earlier(load_scene(folder / "scene.toml"), _run(tracks, summary["verdict"]), summary)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise OutputError(f"{folder} holds no whole results of `diffeed run`: {error}") from None
 
 
 def _run(tracks: dict[str, np.ndarray], verdict: dict[str, Any]) -> Any:
-    parts: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
+    parts: dict[str, dict[str, Any]] = {section: {} for section in TRACKED}
     for key, values in tracks.items():
         if key != "time":
             section, name, field = key.split(".")
@@ -46,8 +46,3 @@ def _run(tracks: dict[str, np.ndarray], verdict: dict[str, Any]) -> Any:
     failed = verdict["status"] == "failed"
     failure = SimpleNamespace(describe=lambda: f"at {verdict['time']:.6g} s: {verdict['reason']}")
     return SimpleNamespace(time=tracks["time"], ok=not failed, failure=failure, **parts)
-
-
-def _comparable(summary: dict[str, Any]) -> dict[str, Any]:
-    """The summary, if it holds what is compared."""
-    return summary | {key: dict(summary[key]) for key in ("verdict", "rollers", "sheets")}

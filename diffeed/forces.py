@@ -392,10 +392,10 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
     place = by_direction((at.x[k] + arm * c, at.y[k] + arm * s, state.heading[k]))
     speed = by_direction((at.vx[k] - arm * s * w, at.vy[k] + arm * c * w, w))
     bias = by_direction((arm * w * w * c, arm * w * w * s, zero))
-    target = by_direction(hold_target(hold, state.time + step.h * float(step.implicit)))
-    wanted = by_direction(_hold_speed(hold, state.time + step.h * float(step.implicit)))
+    meant = state.time + step.h if step.implicit else state.time
+    target, wanted = by_direction(hold_target(hold, meant)), by_direction(_hold_speed(hold, meant))
     rate = closing_rate(model, k)
-    if step.implicit:
+    if step.implicit:  # any rate is stable: a limp sheet, which has none of its own, closes half of its error in a step
         rate = jnp.where(rate > 0.0, rate, 1.0 / step.h)
     columns, values = [], []
     for d in hold.rows:

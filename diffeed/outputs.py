@@ -14,6 +14,8 @@ from diffeed.trajectory import Trajectory
 
 SUMMARY = "summary.json"
 """Written last: a folder with a summary is complete."""
+TRACKED = ("sheets", "rollers", "guides")
+"""Sections of a scene whose parts have tracks."""
 PICTURES = ("machine.png", "paths.png", "slip.png", "nip_forces.png")
 FILES = (*PICTURES, "player.html", "data.npz", "scene.toml", SUMMARY)
 
@@ -33,7 +35,7 @@ def write_files(
 def tracks(trajectory: Trajectory) -> dict[str, np.ndarray]:
     """Every track of a run as plain arrays: "time", "sheets.film.nodes", "rollers.drive_1.slip", "guides.turn.gap"."""
     found = {"time": np.asarray(trajectory.time)}
-    for section in ("sheets", "rollers", "guides"):
+    for section in TRACKED:
         for name, track in getattr(trajectory, section).items():
             for f in fields(track):
                 found[f"{section}.{name}.{f.name}"] = np.asarray(getattr(track, f.name))

@@ -60,10 +60,10 @@ def shipped_scenes() -> dict[str, str]:
 
 def shipped_text(name: str) -> str:
     """The file of a shipped scene, comments and all; SceneError if there is none of that name."""
-    if name not in _shipped():
-        known = ", ".join(sorted(_shipped()))
-        raise SceneError([f"there is no shipped scene of that name; there are: {known}"], name)
-    return _shipped()[name].read_text(encoding="utf-8")
+    shipped = _shipped()
+    if name not in shipped:
+        raise SceneError([f"there is no shipped scene of that name; there are: {', '.join(sorted(shipped))}"], name)
+    return shipped[name].read_text(encoding="utf-8")
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

@@ -22,7 +22,7 @@ def without_checks():
     return (
         mock.patch.object(faults, "of_step", return_value=none),
         mock.patch.object(balance, "is_kept", return_value=False),
-        mock.patch.object(progress, "_is_across", return_value=False),
+        mock.patch.object(progress, "guides_crossed", return_value=jnp.zeros((0,), bool)),
     )
 
 
