@@ -212,4 +212,5 @@ def _replace(draft: Path, target: Path, names: list[str], files: tuple[str, ...]
     for name in reversed(files):
         (target / name).unlink(missing_ok=True)
     for name in names:
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
         os.replace(draft / name, target / name)

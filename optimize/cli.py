@@ -1,5 +1,6 @@
 """The command `python -m optimize`. Heavy imports stay inside the commands: a help text must come at once."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,8 +8,7 @@ from typing import Any
 
 import click
 
-from diffeed.files import write_whole
-from diffeed.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
+from diffeed.folders import OutputError, holding, plain_errors, publishing
 from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
@@ -156,15 +156,15 @@ def studies(name: str | None, out: Path | None, force: bool) -> None:
 
 
 def _copy(files: dict[str, Path], out: Path | None, force: bool) -> None:
-    """Into a folder, or the first of them to the screen."""
-    if out is None:
-        click.echo(next(iter(files.values())).read_text("utf-8"), nl=False)
-        return
-    refuse_overwriting(out, () if force else tuple(files))
-    with plain_errors(str(out)):
-        for name, file in files.items():
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(out / name, file.read_text("utf-8"))
+    """Into a folder, or the last of them to the screen."""
+    with publishing(out, tuple(files), force) as draft:
+        if draft is None:
+            click.echo(list(files.values())[-1].read_text("utf-8"), nl=False)
+            return
+        with plain_errors(f"the study was not written to {out}"):
+            for name, file in files.items():
+                (draft / name).parent.mkdir(exist_ok=True)
+                shutil.copyfile(file, draft / name)
     click.echo(f"written to {out}: {', '.join(files)}")
 
 

@@ -75,14 +75,14 @@ def shipped_studies() -> dict[str, Path]:
 
 
 def shipped_files(name: str) -> dict[str, Path]:
-    """The file of a shipped study, and that of its scene if it has one of its own, by the name that a copy must have."""
+    """That of its scene, if a shipped study has one of its own, and last its own file, by the names that copies must have."""
     shipped = shipped_studies()
     if name not in shipped:
         raise StudyError([f"there is no shipped study of that name; there are: {', '.join(sorted(shipped))}"], name)
     file = shipped[name]
     scene = toml_text.read(file, MAX_BYTES)["scene"]
     own = {scene: file.parent / scene} if (file.parent / scene).is_file() else {}
-    return {file.name: file} | own
+    return own | {file.name: file}
 
 
 def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:

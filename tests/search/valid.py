@@ -95,9 +95,9 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
     dt = STEPS[method]
     for batch, real in _batches(scenes, min(BATCH, count)):
         stacked = diffeed.stack([made for _, made in batch])
-        coarse, fine = (_run(stacked, dt=dt / part, method=method) for part in (1, FINER))
+        coarse, fine = (run_batch(stacked, dt=dt / part, method=method) for part in (1, FINER))
         for i, (seed, made) in enumerate(batch[:real]):
-            one, other = _sample(coarse, i), _sample(fine, i)
+            one, other = sample(coarse, i), sample(fine, i)
             held += bool(one.ok)
             causes[CAUSES[int(one.failure.cause)]] += 1
             found += [Found(machine, method, seed, what) for what in _complaints(made, one, other)]
@@ -106,13 +106,13 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
     sensitive = 0
     for batch, real in _batches(doubted, FEW):
         opinions = [
-            _run(diffeed.stack([made for _, made, _ in batch]), tolerance=t, most_steps=MOST) for t in TOLERANCES
+            run_batch(diffeed.stack([made for _, made, _ in batch]), tolerance=t, most_steps=MOST) for t in TOLERANCES
         ]
         for i, (seed, _, one) in enumerate(batch[:real]):
-            rough, fine = (_sample(run, i) for run in opinions)
+            rough, fine = (sample(run, i) for run in opinions)
             if not (rough.ok and fine.ok and _agree(rough, fine)):
                 sensitive += 1
-            elif not _agree(one, fine) and _apart(one, fine)[0] > TOLD * float(one.error):
+            elif is_wrong(one, fine):
                 apart, way = _apart(one, fine)
                 what = f"{apart:.3g} mm off, of {way:.3g} mm moved; it told of {float(one.error):.2g} mm"
                 found.append(Found(machine, method, seed, what))
@@ -145,7 +145,12 @@ def _agree(one: Trajectory, other: Trajectory) -> bool:
     return bool(apart <= max(WRONG, SHARE * way))
 
 
-def _run(stacked: Scene, **options: object) -> Trajectory:
+def is_wrong(one: Trajectory, true: Trajectory) -> bool:
+    """Whether a run is far from the true one, and further than it tells."""
+    return not _agree(one, true) and bool(_apart(one, true)[0] > TOLD * float(one.error))
+
+
+def run_batch(stacked: Scene, **options: object) -> Trajectory:
     def run(scene: Scene) -> Trajectory:
         return diffeed.simulate(scene, duration=DURATION, frames=FRAMES, **options)  # type: ignore[arg-type]
 
@@ -154,7 +159,7 @@ def _run(stacked: Scene, **options: object) -> Trajectory:
         return jax.device_get(jax.vmap(run)(stacked))
 
 
-def _sample(batch: Trajectory, i: int) -> Trajectory:
+def sample(batch: Trajectory, i: int) -> Trajectory:
     return jax.tree.map(lambda v: v[i], batch)
 
 
