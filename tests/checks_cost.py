@@ -13,7 +13,7 @@ import diffeed
 from diffeed import balance, faults, progress, tuning
 from diffeed.parts import normalise
 
-TURNS = 21
+TURNS = 151
 
 
 def without_checks():
