@@ -20,7 +20,10 @@ _ALL = (
         "take shorter steps, a stiffer contact or less force",
     ),
     Cause("speeds grew past anything a feeder can do", SHORTER),
-    Cause("more bodies came near one bar than the search keeps", "give a tolerance, or put fewer parts in one place"),
+    Cause(
+        "more bodies came near one bar than the search keeps",
+        "take shorter steps, give a tolerance, or put fewer parts in one place",
+    ),
     Cause("something moved further between two searches than the search reached", SHORTER),
     Cause("the tolerance asks for more steps than `most_steps` allows", "allow more, or a larger tolerance"),
     Cause("no step, however small, met the tolerance", "give a larger tolerance"),

@@ -19,7 +19,7 @@ from diffeed.model import build
 from diffeed.parts import Scene, normalise
 from diffeed.paths import get, put
 from diffeed.progress import begin
-from diffeed.rollout import MANY, MOST_STEPS, STEP, Plan, plan, simulate
+from diffeed.rollout import MANY, MOST_STEPS, STEP, Plan, plan, refuse_control, simulate
 from diffeed.steppers import DEFAULT
 from diffeed.trajectory import Trajectory
 
@@ -105,36 +105,48 @@ def value_and_gradient(
     """A measure(scene, trajectory) of a run, a scalar, and its derivatives.
 
     With `paths`, derivatives come as a dictionary by path; without, as a scene (every number; reverse mode only). Units
-    are those of the measure per unit of the number. Raises ValueError for a mode that does not exist or does not fit.
+    are those of the measure per unit of the number.
+
+    Called again with the same measure and settings, nothing is compiled; as with `jax.jit`, what the measure takes from
+    outside itself then stays as it was in the first call.
+
+    Raises ValueError for a mode that does not exist or does not fit.
     """
     scene = normalise(scene)
-    run = functools.partial(
-        simulate, duration=duration, dt=dt, frames=frames, method=method, observe=tuple(sorted(observe)),
-        tolerance=tolerance, most_steps=most_steps,
-    )  # fmt: skip
+    if tolerance is not None:
+        refuse_control(tolerance, most_steps, frames, method)
+    how = (duration, dt, frames, method, tuple(sorted(observe)), most_steps)
     if paths is None:
         if mode == "forward":
             raise ValueError("the gradient with respect to every number needs mode='reverse'; or name some paths")
-        return _whole(measure, run, scene)
+        return _program(measure, how, "whole")(scene, {}, tolerance)
     count = sum(int(np.size(get(scene, p))) for p in paths)
     chosen = gradient_plan(scene, count, duration, dt, frames, mode, tolerance, most_steps).mode
-    return _some(measure, run, scene, {p: jnp.asarray(get(scene, p)) for p in paths}, chosen)
+    return _program(measure, how, chosen)(scene, {p: jnp.asarray(get(scene, p)) for p in paths}, tolerance)
 
 
-def _whole(measure: Measure, run: Callable[[Scene], Trajectory], scene: Scene) -> tuple[Array, Scene]:
-    return jax.jit(jax.value_and_grad(lambda s: measure(s, run(s))))(scene)
+@functools.lru_cache(maxsize=16)
+def _program(measure: Measure, how: tuple[Any, ...], mode: str) -> Callable[..., tuple[Array, Any]]:
+    """From a scene, values by path and a tolerance to the measure and its derivatives: by the values, or by the whole scene."""
+    duration, dt, frames, method, observe, most_steps = how
 
+    def value(scene: Scene, tolerance: Any) -> Array:
+        run = simulate(scene, duration, dt, frames, method, observe=observe, tolerance=tolerance, most_steps=most_steps)
+        return measure(scene, run)
 
-def _some(
-    measure: Measure, run: Callable[[Scene], Trajectory], scene: Scene, values: dict[str, Array], mode: str
-) -> tuple[Array, dict[str, Array]]:
-    def at(values: dict[str, Array]) -> tuple[Array, Array]:
-        changed = scene
-        for path, value in values.items():
-            changed = put(changed, path, value)
-        value = measure(changed, run(changed))
-        return value, value
+    if mode == "whole":
+        return jax.jit(lambda scene, values, tolerance: jax.value_and_grad(value)(scene, tolerance))
 
-    take = jax.jacfwd if mode == "forward" else jax.jacrev
-    gradient, value = jax.jit(take(at, has_aux=True))(values)
-    return value, gradient
+    def some(scene: Scene, values: dict[str, Array], tolerance: Any) -> tuple[Array, dict[str, Array]]:
+        def at(values: dict[str, Array]) -> tuple[Array, Array]:
+            changed = scene
+            for path, new in values.items():
+                changed = put(changed, path, new)
+            found = value(changed, tolerance)
+            return found, found
+
+        take = jax.jacfwd if mode == "forward" else jax.jacrev
+        gradient, found = take(at, has_aux=True)(values)
+        return found, gradient
+
+    return jax.jit(some)

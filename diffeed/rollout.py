@@ -28,6 +28,9 @@ from diffeed.trajectory import Failure, Resume, Trajectory
 
 BLOCK = 16
 """Most steps between two searches for candidates."""
+SEARCHED = 2e-3
+"""s: with long steps the searches stay this close in time, at 3 % more cost. A search over a longer time must reach further,
+and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
 MANY = 40_000
 """Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
 STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000
@@ -49,8 +52,13 @@ class Plan(NamedTuple):
 def plan(duration: float, dt: float, frames: int) -> Plan:
     """Counts for a run: a frame is a whole number of steps, so dt is shortened where frames do not divide the run."""
     per_frame = max(1, math.ceil(duration / (frames - 1) / dt - 1e-9))
-    whole = [k for k in range(BLOCK, BLOCK // 2 - 1, -1) if per_frame % k == 0]
-    blocks = per_frame // whole[0] if whole else math.ceil(per_frame / BLOCK)
+    return in_blocks(per_frame, frames, min(BLOCK, max(2, int(SEARCHED / dt + 1e-9))))
+
+
+def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
+    """So many steps per frame or a few more, in equal blocks of at most `most`."""
+    whole = [k for k in range(most, most // 2 - 1, -1) if per_frame % k == 0]
+    blocks = per_frame // whole[0] if whole else math.ceil(per_frame / most)
     return Plan(frames, blocks, math.ceil(per_frame / blocks))
 
 
@@ -90,14 +98,14 @@ def simulate(
     if tolerance is None:
         counts = plan(duration, dt, frames)
         return _simulate(scene, duration / counts.total, initial, counts, method, observe)
-    _refuse_control(tolerance, most_steps, frames, method)
+    refuse_control(tolerance, most_steps, frames, method)
     control = error_control.Control(frames - 1, error_control.blocks(most_steps, frames), method, observe)
     return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 
 def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
     """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
-    return _simulate(normalise(scene), dt, start, plan(float(steps), 1.0, 2), method, ())
+    return _simulate(normalise(scene), dt, start, in_blocks(steps, 2), method, ())
 
 
 def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
@@ -112,7 +120,7 @@ def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple
         raise ValueError(f"observe must be a tuple of names out of {', '.join(OBSERVERS)}, but is {observe!r}")
 
 
-def _refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -> None:
+def refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -> None:
     if method not in ESTIMATING:
         raise ValueError(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
     if not isinstance(tolerance, Array) and not (math.isfinite(tolerance) and tolerance > 0):

@@ -15,6 +15,7 @@ from jax import Array
 import diffeed
 from optimize.asked import values_of
 from optimize.problem import Problem, objective_of, simulate
+from optimize.programs import kept
 
 
 class Blame(NamedTuple):
@@ -40,7 +41,7 @@ def blame(problem: Problem, unit: np.ndarray, medium: int = 0) -> Blame:
     def of(scene: diffeed.Scene) -> Array:
         return objective_of(problem, values_of(problem.goals, scene, simulate(problem, scene)))
 
-    value, slope = jax.jit(jax.value_and_grad(of))(scene)
+    value, slope = kept(("blame", problem.key), lambda: jax.jit(jax.value_and_grad(of)))(scene)
     places, sizes = {}, {}
     for part in parts_of(scene):
         held = diffeed.get(slope, part)
@@ -79,7 +80,7 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
         return objective_of(problem, values_of(problem.goals, last, run))
 
     copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)
-    slope = jax.jit(jax.grad(of))(copies)
+    slope = kept(("arising", problem.key, spans), lambda: jax.jit(jax.grad(of)))(copies)
     parts = tuple(parts_of(scene))
     share = np.stack([_size(diffeed.get(slope, part)) for part in parts])
     return Arising(parts, np.linspace(0.0, duration, spans + 1), share)

@@ -12,9 +12,9 @@ import diffeed
 from diffeed import measures
 from optimize import variables as free
 from optimize.descent import Line, Progress, begin, search
-from optimize.evaluate import Evaluator
+from optimize.evaluate import seen_at
 from optimize.journal import Journal
-from optimize.problem import SLACK, Problem, Seen, Settings, make_problem, over_media, simulate
+from optimize.problem import SLACK, Problem, make_problem, over_media, simulate
 from optimize.study import Study
 
 VERDICT = ("arrivals", "feed", "nips", "energy", "gaps", "curvature")
@@ -93,37 +93,26 @@ def design(
 def finish(problem: Problem, progress: Progress, history: list[dict[str, Any]]) -> Result:
     """Score the start and the best point of every start, and take the best of them."""
     points = np.unique(np.concatenate([problem.start[None], progress.best]), axis=0)
-    seen = Evaluator(problem).values(points, Settings())
-    order = sorted(range(len(points)), key=lambda k: _first_rank(problem, seen, k))
-    scored = [score(problem, points[k], seen, k) for k in order[:4]]
-    at_start = next(k for k in range(len(points)) if np.array_equal(points[k], problem.start))
-    before = score(problem, problem.start, seen, at_start)
-    after = min([*scored, before], key=lambda s: s.rank)
+    scored = [score(problem, point) for point in points]
+    before = next(s for s in scored if np.array_equal(s.unit, problem.start))
+    after = min(scored, key=lambda s: s.rank)
     return Result(problem, before, after, progress, history, progress.reason)
 
 
-def _first_rank(problem: Problem, seen: Seen, k: int) -> tuple[bool, bool, float]:
-    violation = float(seen.violation[k].max(initial=-1.0))
-    objective = float(over_media(problem, jnp.asarray(seen.objective[k])))
-    bad = not seen.ok[k].all() or not np.isfinite(objective)
-    return (bad, violation > SLACK, objective if violation <= SLACK else violation)
-
-
-def score(problem: Problem, unit: np.ndarray, seen: Seen, k: int) -> Scored:
-    """A point with its verdicts, each from a run of its own."""
-    verdicts = []
-    for medium in range(len(problem.media)):
-        scene = problem.scene(unit, medium)
-        verdicts.append(measures.verdict(scene, run_of(problem, unit, medium)))
+def score(problem: Problem, unit: np.ndarray) -> Scored:
+    """A point with its verdicts, from runs of the machine as drawn."""
+    media = range(len(problem.media))
+    scenes, runs = [problem.scene(unit, k) for k in media], [run_of(problem, unit, k) for k in media]
+    seen = seen_at(problem, unit, scenes, runs)
     values = free.physical(problem.variables, jnp.asarray(unit))
     return Scored(
         unit=np.asarray(unit),
         values=dict(zip(problem.names, map(float, values), strict=True)),
-        goals=np.asarray(seen.goals[k]),
-        limits=np.asarray(seen.limits[k]),
-        objective=float(over_media(problem, jnp.asarray(seen.objective[k]))),
-        violation=float(seen.violation[k].max(initial=-1.0)),
-        verdicts=tuple(verdicts),
+        goals=np.asarray(seen.goals),
+        limits=np.asarray(seen.limits),
+        objective=float(over_media(problem, jnp.asarray(seen.objective))),
+        violation=float(seen.violation.max(initial=-1.0)),
+        verdicts=tuple(measures.verdict(*of) for of in zip(scenes, runs, strict=True)),
     )
 
 

@@ -1,13 +1,16 @@
 """The compiled evaluation of a problem: values and gradients of many points at once."""
 
-from typing import Any, NamedTuple
+import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from optimize.problem import Problem, Seen, Settings, look, loss
+import diffeed
+from optimize.problem import Problem, Seen, Settings, look, loss, seen_in
+from optimize.programs import kept
 
 TOGETHER = 16
 """Points that are computed at once: more fall out of the processor's cache."""
@@ -43,10 +46,6 @@ def _without_outliers(gradient: Array, fine: Array) -> Array:
     return gradient * jnp.where(length > limit, limit / jnp.where(length > 0, length, 1.0), 1.0)[:, :, None]
 
 
-_PROGRAMS: dict[tuple[Any, ...], dict[float | None, Any]] = {}
-"""Compiled functions by problem and run length: a second search of the same problem compiles nothing."""
-
-
 class Evaluator:
     """Compiled functions of one problem, one per run length. With `samples`, the expected gradient: the mean over
     points drawn around each (the same draws for all points and iterations), outliers shortened."""
@@ -60,17 +59,13 @@ class Evaluator:
             rng = np.random.default_rng(search.seed)
             half = rng.normal(size=((search.samples + 1) // 2, len(problem.names)))
             self.draws = np.concatenate([half, -half])[: search.samples] * problem.tolerance  # antithetic
-        mark = (problem.key, self.draws.tobytes())
-        self._compiled = _PROGRAMS.setdefault(mark, {})
-        self._plain = _PROGRAMS.setdefault((problem.key,), {})
 
     def gradients(
         self, unit: np.ndarray, multipliers: np.ndarray, penalty: np.ndarray, settings: Settings
     ) -> Evaluated:
         """Values and gradients at points (points, n), each with its own multipliers and penalty."""
-        function = self._compiled.get(settings.duration)
-        if function is None:
-            function = self._compiled[settings.duration] = jax.jit(self._make(settings.duration))
+        mark = ("gradients", self.problem.key, self.draws.tobytes(), settings.duration)
+        function = kept(mark, lambda: jax.jit(self._make(settings.duration)))
         made = self.problem.deviations() if settings.deviations is None else settings.deviations
         out = function(
             jnp.asarray(unit), jnp.asarray(multipliers), jnp.asarray(penalty), jnp.asarray(settings.smoothing),
@@ -79,20 +74,6 @@ class Evaluator:
         runs = len(unit) * len(self.draws) * len(self.problem.media) * len(made)
         self.counts = self.counts.plus(runs, runs)
         return Evaluated(np.array(out[0]), np.array(out[1]), jax.device_get(out[2]))
-
-    def values(self, unit: np.ndarray, settings: Settings) -> Seen:
-        """What is seen at points (points, n), without gradients and without noise."""
-        function = self._plain.get(settings.duration)
-        if function is None:
-
-            def many(units: Array, smoothing: Array) -> Seen:
-                at = lambda u: look(self.problem, u, Settings(smoothing, settings.duration))  # noqa: E731
-                return jax.lax.map(at, units, batch_size=TOGETHER)
-
-            function = self._plain[settings.duration] = jax.jit(many)
-        seen = function(jnp.asarray(unit), jnp.asarray(settings.smoothing))
-        self.counts = self.counts.plus(len(unit) * len(self.problem.media) * len(self.problem.deviations()), 0)
-        return jax.device_get(seen)
 
     def _make(self, duration: float | None):
         problem, draws = self.problem, jnp.asarray(self.draws)
@@ -135,3 +116,14 @@ class Evaluator:
             return jnp.where(enough, average(value), jnp.nan), average(_without_outliers(gradient, fine)), told
 
         return many
+
+
+def seen_at(problem: Problem, unit: np.ndarray, scenes: list[diffeed.Scene], runs: list[diffeed.Trajectory]) -> Seen:
+    """What the study sees at a point (n,), at its own settings: in the run of each medium's machine as drawn, or, where
+    machines scatter, in runs of its own."""
+    if problem.inputs:
+        see = kept(("seen", problem.key), lambda: jax.jit(lambda u: look(problem, u, Settings())))
+        return jax.device_get(see(jnp.asarray(unit)))
+    see = kept(("seen in", problem.key), lambda: jax.jit(functools.partial(seen_in, problem)))
+    each = [jax.device_get(see(scene, run)) for scene, run in zip(scenes, runs, strict=True)]
+    return jax.tree.map(lambda *v: np.stack(v), *each)

@@ -150,6 +150,12 @@ def objective_of(problem: Problem, values: Array) -> Array:
     return total
 
 
+def seen_in(problem: Problem, scene: diffeed.Scene, run: diffeed.Trajectory) -> Seen:
+    """What a study sees in one run: of one medium and one machine."""
+    goals, limits = values_of(problem.goals, scene, run), values_of(problem.limits, scene, run)
+    return Seen(goals, limits, violations(problem.limits, limits), objective_of(problem, goals), run.ok)
+
+
 def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
     """Run all media at a point."""
     factor = jnp.asarray(settings.smoothing)
@@ -158,9 +164,7 @@ def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
     def one(scene: diffeed.Scene, deviation: Array) -> Seen:
         moved = free.applied(scene, problem.variables, free.physical(problem.variables, unit))
         moved = sampled(problem.inputs, moved, deviation)
-        run = simulate(problem, eased(moved, factor), settings.duration)
-        goals, limits = values_of(problem.goals, moved, run), values_of(problem.limits, moved, run)
-        return Seen(goals, limits, violations(problem.limits, limits), objective_of(problem, goals), run.ok)
+        return seen_in(problem, moved, simulate(problem, eased(moved, factor), settings.duration))
 
     made = jnp.asarray(made)
     if len(problem.scenes) == 1 and made.shape[0] == 1:

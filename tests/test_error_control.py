@@ -7,6 +7,7 @@ import pytest
 from cases.scenes import draw, free_sheet
 
 import diffeed
+from diffeed import rollout
 from diffeed.causes import CAUSES
 from diffeed.records import replace
 from diffeed.steppers import ESTIMATING
@@ -177,10 +178,20 @@ def test_pieces_are_one_run(rest):
 
 
 @pytest.mark.slow
-def test_no_more_bodies_than_slots_where_the_next_search_can_come_earlier():
+@pytest.mark.parametrize("steps", [{"tolerance": 1e-2}, {"dt": 2e-4}])
+def test_no_more_bodies_than_slots_where_the_next_search_can_come_earlier(steps):
     """Long steps reach far: the gap bridge has more bodies near its sheet than a search keeps."""
-    run = diffeed.simulate(diffeed.load_scene("gap_bridge"), duration=0.3, frames=4, tolerance=1e-2)
+    run = diffeed.simulate(diffeed.load_scene("gap_bridge"), duration=0.6, frames=7, **steps)
     assert run.ok, run.failure.describe()
+
+
+@pytest.mark.parametrize("dt", [1e-6, 1e-4, 2e-4, 5e-4, 1e-3, 5e-3])
+def test_searches_are_close_in_steps_and_in_time(dt):
+    counts = rollout.plan(0.7, dt, 11)
+    assert counts.total * dt >= 0.7 - 1e-12
+    assert counts.steps <= rollout.BLOCK
+    assert counts.steps <= 2 or counts.steps * dt <= rollout.SEARCHED + 1e-12
+    assert counts.steps > 1
 
 
 @pytest.mark.parametrize(

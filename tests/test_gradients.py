@@ -111,8 +111,19 @@ def test_a_guide_that_nothing_has_reached_has_a_gap_with_a_gradient():
     scene = diffeed.put(nip(), "guides", {"wall": diffeed.LineGuide(start=(30.0, -5.0), end=(30.0, 5.0))})
     scene = diffeed.scene(**vars(scene))
 
+    traced = []
+
     def gap(scene, run):
+        traced.append(scene)
         return run.guides["wall"].gap[-1]
 
-    _, slope = diffeed.value_and_gradient(gap, scene, ["guides.wall.start"], dt=5e-4, frames=2)
+    near, slope = diffeed.value_and_gradient(gap, scene, ["guides.wall.start"], dt=5e-4, frames=2)
     assert float(jnp.abs(slope["guides.wall.start"][0])) > 0.1
+    # The same measure of a changed machine: another value, nothing compiled.
+    count = len(traced)
+    moved = diffeed.put(diffeed.put(scene, "guides.wall.start", (31.0, -5.0)), "guides.wall.end", (31.0, 5.0))
+    far, _ = diffeed.value_and_gradient(gap, moved, ["guides.wall.start"], dt=5e-4, frames=2)
+    assert float(far - near) == pytest.approx(1.0, abs=1e-6)
+    assert len(traced) == count
+    with pytest.raises(ValueError, match="tolerance must be a positive number of mm, but is -1"):
+        diffeed.value_and_gradient(gap, scene, ["guides.wall.start"], frames=2, tolerance=-1.0)

@@ -9,8 +9,8 @@ import pytest
 from stand_in_nip import nip
 
 import optimize
-from optimize import descent, evaluate
-from optimize.design_run import design, finish
+from optimize import blame_map, descent, evaluate, programs
+from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluator
 from optimize.journal import Journal, JournalError, read_history
 from optimize.problem import Settings, make_problem, over_media
@@ -46,6 +46,26 @@ def test_adam_finds_the_preload_of_a_wanted_force():
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.02)
     assert result.reason
     assert result.progress.counts.gradients == result.progress.iteration
+
+
+def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
+    problem, points = problem_of(), problem_of().start + np.array([[0.0], [0.1]])
+    scored = [score(problem, point).objective for point in points]
+    found = [blame_map.blame(problem, points[0])]
+    monkeypatch.setattr(blame_map, "simulate", None)
+    found.append(blame_map.blame(problem, points[1]))
+    assert [f.objective for f in found] == pytest.approx(scored, rel=1e-12)
+    assert scored[0] != scored[1]
+
+
+def test_the_program_that_was_not_used_for_longest_goes_first():
+    names = [f"test {k}" for k in range(programs.MOST + 1)]
+    for name in names[:-1]:
+        programs.kept(name, lambda name=name: name)
+    assert programs.kept(names[0], lambda: "made again") == names[0]
+    programs.kept(names[-1], lambda: names[-1])
+    assert programs.kept(names[0], lambda: "made again") == names[0]
+    assert programs.kept(names[1], lambda: "made again") == "made again"
 
 
 @pytest.mark.slow

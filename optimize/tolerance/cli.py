@@ -179,7 +179,7 @@ def _runner(problem: Any, chunk: int | None, workers: int | None, scheduler: str
         yield here(problem, chunk)
         return
     from optimize.tolerance.cluster import connect, on_cluster
-    from optimize.tolerance.run import TOGETHER
+    from optimize.tolerance.spread import TOGETHER
 
     with connect(scheduler, workers) as client:
         yield on_cluster(problem, client, chunk or TOGETHER)

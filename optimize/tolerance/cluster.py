@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from optimize.tolerance.problem import ToleranceProblem, packed, unpacked
-from optimize.tolerance.run import TOGETHER, Evaluator, Rows, chunks
+from optimize.tolerance.run import Evaluator, Rows, chunks
+from optimize.tolerance.spread import TOGETHER
 from optimize.tolerance.study import Runner
 
 MISSING = 'a cluster needs Dask: pip install "diffeed[cluster]"'

@@ -12,11 +12,9 @@ from optimize.tolerance.draws import deviations, groups
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
 from optimize.tolerance.run import run_of
+from optimize.tolerance.spread import TOGETHER, Spread
 from optimize.tolerance.statistics import Indices, saltelli, sobol
 from optimize.tolerance.study import Runner, run_rows
-
-TOGETHER = 8
-"""Gradients that are computed at once."""
 
 
 class Slopes(NamedTuple):
@@ -38,10 +36,14 @@ def slopes(problem: ToleranceProblem, deviation: np.ndarray) -> Slopes:
         run = run_of(problem, scene, rest)
         return values_of(problem.asked, scene, run) * jnp.where(run.ok, 1.0, jnp.nan)
 
-    # One measure at a time, which one being a traced number: a single program for all of them.
-    gradient = jax.jit(lambda d, which: jax.lax.map(jax.grad(lambda x: values(x)[which]), d, batch_size=TOGETHER))
+    def gradient(row: Array) -> Array:
+        """Of one measure; which one is the row's last number, so that a single program serves all of them."""
+        return jax.grad(lambda d: values(d)[row[-1].astype(int)])(row[:-1])
+
     points = np.concatenate([np.zeros((1, deviation.shape[1])), deviation])
-    whole = np.stack([np.asarray(gradient(jnp.asarray(points), k)) for k in range(len(problem.asked))], axis=1)
+    each = Spread(gradient, TOGETHER)
+    asked = range(len(problem.asked))
+    whole = np.stack([each.all_of(np.column_stack([points, np.full(len(points), k)])) for k in asked], axis=1)
     return Slopes(whole[0], whole[1:])
 
 

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -11,7 +10,8 @@ import diffeed
 from diffeed import measures
 from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
 from optimize.tolerance.records import Axis
-from optimize.tolerance.run import TOGETHER, run_of
+from optimize.tolerance.run import bytes_of, run_of
+from optimize.tolerance.spread import Spread, chunk_size
 
 
 class Map(NamedTuple):
@@ -41,11 +41,11 @@ def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> M
         return margin, measures.outcome(moved, run).status == 0
 
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    margin, passed = jax.jit(lambda points: jax.lax.map(at, points, batch_size=TOGETHER))(jnp.asarray(grid))
+    margin, passed = Spread(at, min(len(grid), chunk_size(lambda: bytes_of(problem)))).all_of(grid)
     shape = (len(y), len(x))
     labels = (_label(problem, asked.x), _label(problem, asked.y))
     nominal = (_nominal(problem, asked.x), _nominal(problem, asked.y))
-    return Map(x, y, np.asarray(margin).reshape(shape), np.asarray(passed).reshape(shape), labels, nominal)
+    return Map(x, y, margin.reshape(shape), passed.reshape(shape), labels, nominal)
 
 
 def _label(problem: ToleranceProblem, axis: Axis) -> str:

@@ -1,4 +1,4 @@
-"""Samples through the simulator: one compiled program for a chunk of them, spread over all local devices."""
+"""Samples through the simulator: each one's run, and what is known of it."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -7,19 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import diffeed
-from diffeed import measures, tuning
+from diffeed import measures
 from optimize.asked import values_of, violations
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
-
-TOGETHER = 8
-"""Samples that a processor core computes at once: with 4, 8 and 16 the film feeder's study made 2.8, 2.9 and 2.2 samples a
-second on two cores; more fall out of the cache."""
-SHARE = 0.25
-"""Share of an accelerator's memory that a chunk may take."""
+from optimize.tolerance.spread import Spread, chunk_size
 
 
 class Rows(NamedTuple):
@@ -68,44 +62,26 @@ def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[Array, 
     )
 
 
-def chunk_size(problem: ToleranceProblem) -> int:
-    """Samples computed at once: for each core what fits its cache, for an accelerator what fits its memory."""
-    devices = tuning.safe_devices(jax.local_devices())
-    if devices[0].platform == "cpu":
-        return TOGETHER * len(devices)
-    limit = (devices[0].memory_stats() or {}).get("bytes_limit", 8e9)
-    run = jax.eval_shape(lambda s: run_of(problem, s, None), problem.scene)
-    each = 4 * sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in jax.tree.leaves(run))
-    return len(devices) * int(2 ** np.clip(np.floor(np.log2(SHARE * limit / each)), 4, 16))
-
-
 class Evaluator:
-    """Compiles once and runs chunks: every chunk has the same shape, the last one is filled up with its first row."""
+    """Compiles once and runs chunks of samples."""
 
     def __init__(self, problem: ToleranceProblem, chunk: int | None = None) -> None:
-        devices = np.array(tuning.safe_devices(jax.local_devices()))
-        wanted = chunk_size(problem) if chunk is None else chunk
-        # A chunk is spread evenly; one that is too small for all devices takes fewer.
-        devices = devices[: max(n for n in range(1, len(devices) + 1) if wanted % n == 0)]
-        self.problem, self.chunk = problem, wanted
-        self._rest = rest_of(problem)
-        self._place = NamedSharding(Mesh(devices, ("samples",)), PartitionSpec("samples"))
+        rest = rest_of(problem)
+        self._spread = Spread(lambda d: one(problem, rest, d), chunk or chunk_size(lambda: bytes_of(problem)))
 
-        def many(deviations: Array) -> tuple[Array, ...]:
-            return jax.vmap(lambda d: one(problem, self._rest, d))(deviations)
-
-        if len(devices) > 1:
-            spec = PartitionSpec("samples")
-            many = jax.shard_map(many, mesh=self._place.mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        self._run = jax.jit(many)
+    @property
+    def chunk(self) -> int:
+        return self._spread.chunk
 
     def __call__(self, sample: np.ndarray, deviation: np.ndarray) -> Rows:
         """At most `chunk` samples: indices (n,) and deviations (n, inputs)."""
-        n = len(sample)
-        filled = np.concatenate([deviation, np.repeat(deviation[:1], self.chunk - n, axis=0)])
-        out = self._run(jax.device_put(jnp.asarray(filled), self._place))
-        status, reason, time, values, broken = (np.asarray(v)[:n] for v in jax.device_get(out))
-        return Rows(sample, deviation, status, reason, time, values, broken)
+        return Rows(sample, deviation, *self._spread.chunk_of(deviation))
+
+
+def bytes_of(problem: ToleranceProblem) -> int:
+    """Memory of one sample's run, roughly."""
+    run = jax.eval_shape(lambda s: run_of(problem, s, None), problem.scene)
+    return 4 * sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in jax.tree.leaves(run))
 
 
 def chunks(samples: np.ndarray, size: int) -> Iterator[np.ndarray]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from optimize.programs import kept
 from optimize.tolerance.draws import deviations, uniforms
 from optimize.tolerance.folder import Folder
 from optimize.tolerance.problem import ToleranceProblem
@@ -16,17 +17,11 @@ Runner = Callable[[np.ndarray, np.ndarray], Iterator[Rows]]
 """From indices (n,) and deviations (n, inputs) to rows, chunk by chunk, in any order."""
 
 
-_PROGRAMS: dict[tuple[str, int | None], Evaluator] = {}
-"""Compiled programs by problem and chunk: more samples of the same study compile nothing."""
-
-
 def here(problem: ToleranceProblem, chunk: int | None = None) -> Runner:
     """Run samples in this process."""
 
     def run(sample: np.ndarray, deviation: np.ndarray) -> Iterator[Rows]:
-        evaluate = _PROGRAMS.get((problem.key, chunk))
-        if evaluate is None:
-            evaluate = _PROGRAMS[problem.key, chunk] = Evaluator(problem, chunk)
+        evaluate = kept(("samples", problem.key, chunk), lambda: Evaluator(problem, chunk))
         for picked in chunks(np.arange(len(sample)), evaluate.chunk):
             yield evaluate(sample[picked], deviation[picked])
 

@@ -1,0 +1,56 @@
+"""One compiled program for a chunk of rows, spread over all local devices."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from diffeed import tuning
+
+TOGETHER = 8
+"""Samples that a processor core computes at once: with 4, 8 and 16 the film feeder's study made 2.8, 2.9 and 2.2 samples a
+second on two cores; more fall out of the cache."""
+SHARE = 0.25
+"""Share of an accelerator's memory that a chunk may take."""
+
+
+def chunk_size(each: Callable[[], int]) -> int:
+    """Rows computed at once: for each core what fits its cache, for an accelerator what fits its memory, at `each()` bytes."""
+    devices = tuning.safe_devices(jax.local_devices())
+    if devices[0].platform == "cpu":
+        return TOGETHER * len(devices)
+    limit = (devices[0].memory_stats() or {}).get("bytes_limit", 8e9)
+    return len(devices) * int(2 ** np.clip(np.floor(np.log2(SHARE * limit / each())), 4, 16))
+
+
+class Spread:
+    """`function` of one row (n,), mapped over at most `chunk` rows at a time: every call has the same shape, what is missing
+    is filled up with the first row."""
+
+    def __init__(self, function: Callable[[Array], Any], chunk: int) -> None:
+        devices = np.array(tuning.safe_devices(jax.local_devices()))
+        # A chunk is spread evenly; one that is too small for all devices takes fewer.
+        devices = devices[: max(n for n in range(1, len(devices) + 1) if chunk % n == 0)]
+        self.chunk = chunk
+        self._place = NamedSharding(Mesh(devices, ("samples",)), PartitionSpec("samples"))
+        many = jax.vmap(function)
+        if len(devices) > 1:
+            spec = PartitionSpec("samples")
+            many = jax.shard_map(many, mesh=self._place.mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        self._run = jax.jit(many)
+
+    def chunk_of(self, rows: np.ndarray) -> Any:
+        """Results of at most `chunk` rows (m, n), each (m, ...)."""
+        count = len(rows)
+        filled = np.concatenate([rows, np.repeat(rows[:1], self.chunk - count, axis=0)])
+        found = jax.device_get(self._run(jax.device_put(jnp.asarray(filled), self._place)))
+        return jax.tree.map(lambda v: v[:count], found)
+
+    def all_of(self, rows: np.ndarray) -> Any:
+        """Results of any number of rows (m, n), m > 0."""
+        parts = [self.chunk_of(rows[k : k + self.chunk]) for k in range(0, len(rows), self.chunk)]
+        return jax.tree.map(lambda *v: np.concatenate(v), *parts)
