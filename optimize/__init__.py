@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optimize.terms import TERMS
     from optimize.tolerance.latitude import latitude
     from optimize.tolerance.problem import ToleranceProblem, load_tolerance, make_tolerance
-    from optimize.tolerance.study import run_study
+    from optimize.tolerance.study import run_rows, run_study
     from optimize.tolerance.summary import summarise
     from optimize.trust import check_study
 
@@ -32,7 +32,7 @@ _HOMES = {
     "terms": ("TERMS",),
     "tolerance.latitude": ("latitude",),
     "tolerance.problem": ("ToleranceProblem", "load_tolerance", "make_tolerance"),
-    "tolerance.study": ("run_study",),
+    "tolerance.study": ("run_rows", "run_study"),
     "tolerance.summary": ("summarise",),
     "trust": ("check_study",),
 }
@@ -62,6 +62,7 @@ __all__ = [
     "make_problem",
     "make_study",
     "make_tolerance",
+    "run_rows",
     "run_study",
     "shipped_studies",
     "summarise",

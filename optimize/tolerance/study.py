@@ -62,9 +62,9 @@ def run_rows(
         # Only rows of the very numbers that are asked for: other runs of indices number theirs alike.
         known = done.sample < len(deviation)
         known[known] = (done.deviation[known] == deviation[done.sample[known]]).all(axis=1)
-        kept = chosen(done, known)
-        _, first = np.unique(kept.sample, return_index=True)
-        parts.append(chosen(kept, first))
+        usable = chosen(done, known)
+        _, first = np.unique(usable.sample, return_index=True)
+        parts.append(chosen(usable, first))
     there = parts[0].sample if parts else np.zeros(0, int)
     left = np.setdiff1d(np.arange(len(deviation)), there)
     total, failed = len(there), int(np.sum(~parts[0].passed)) if parts else 0
