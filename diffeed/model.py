@@ -310,7 +310,7 @@ def build(scene: Scene) -> Model:
     lines, arcs = _named(scene.guides, LineGuide), _named(scene.guides, ArcGuide)
     circle_guides = _named(scene.guides, CircleGuide)
     line_set, arc_set = _lines_and_arcs(lines, arcs)
-    circles, circle_owners = _circles(roller_parts, circle_guides, (lines, line_set), (arcs, arc_set))
+    circles, circle_owners = _circles(rollers, roller_parts, circle_guides, (lines, line_set), (arcs, arc_set))
     owners = circle_owners + lines + arcs
     pairs = tuple((i, j) for i in range(rollers.n_movable) for j in range(i + 1, rollers.n))
     return Model(
@@ -343,6 +343,12 @@ def _named(parts: dict[str, Any], kind: type) -> list[tuple[str, Any]]:
 def _stack(values: Sequence[Any]) -> Array:
     """(n,) array of scalars; an empty one for none."""
     return jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in values]) if values else jnp.zeros((0,))
+
+
+def _columns(values: Sequence[Any]) -> tuple[Array, Array]:
+    """x and y, (n,) each, of points. Every operation on one part alone is compiled for every part: so few as may be."""
+    points = jnp.stack(values) if values else jnp.zeros((0, 2))
+    return points[:, 0], points[:, 1]
 
 
 # --- sheets -----------------------------------------------------------------------------------------------------------
@@ -401,15 +407,17 @@ def _rollers(scene: Scene) -> tuple[Rollers, list[tuple[str, Any]]]:
     parts = [p for group in groups for p in group]
     moving = [p[1] for p in groups[0] + groups[1]]
     free = [p[1] for p in groups[1] + groups[2]]
-    ways = [r.direction / jnp.sqrt(r.direction[0] ** 2 + r.direction[1] ** 2) for r in moving]
+    (x, y), ways = _columns([r.center for _, r in parts]), _columns([r.direction for r in moving])
+    long = jnp.sqrt(ways[0] ** 2 + ways[1] ** 2)
+    radius = _stack([r.radius for _, r in parts])
     low = [-jnp.inf if r.travel_min is None else r.travel_min for r in moving]
     high = [jnp.inf if r.travel_max is None else r.travel_max for r in moving]
     rollers = Rollers(
-        x=_stack([r.center[0] for _, r in parts]),
-        y=_stack([r.center[1] for _, r in parts]),
-        radius=_stack([r.radius for _, r in parts]),
-        dir_x=_stack([w[0] for w in ways]),
-        dir_y=_stack([w[1] for w in ways]),
+        x=x,
+        y=y,
+        radius=radius,
+        dir_x=ways[0] / long,
+        dir_y=ways[1] / long,
         mass=_stack([r.mass for r in moving]),
         spring=NEWTON * _stack([r.spring for r in moving]),
         preload=NEWTON * _stack([r.preload for r in moving]),
@@ -421,25 +429,30 @@ def _rollers(scene: Scene) -> tuple[Rollers, list[tuple[str, Any]]]:
         drag=NEWTON * _stack([r.bearing_drag for r in free]),
         travel=_stack([r.travel for r in moving]),
         spin=_stack([r.spin for r in free]),
-        drives=(_drives([r for _, r in groups[0]]), _drives([r for _, r in groups[3]])),
+        drives=(
+            _drives([r for _, r in groups[0]], radius[: len(groups[0])]),
+            _drives([r for _, r in groups[3]], radius[len(parts) - len(groups[3]) :]),
+        ),
         names=tuple(name for name, _ in parts),
         counts=(len(groups[0]), len(groups[1]), len(groups[2]), len(groups[3])),
     )
     return rollers, parts
 
 
-def _drives(rollers: list[Any]) -> Drives:
+def _drives(rollers: list[Any], radius: Array) -> Drives:
     """Spins of driven rollers; a surface speed is divided by the radius. Shorter profiles repeat their last point."""
-    profiles = []
-    for r in rollers:
-        given = r.angular_speed if r.angular_speed is not None else r.surface_speed
-        times, values = (given.times, given.values) if isinstance(given, Profile) else (jnp.zeros((1,)), given[None])
-        profiles.append((times, values if r.angular_speed is not None else values / r.radius))
-    points = max((t.shape[0] for t, _ in profiles), default=1)
-    if not profiles:
-        return Drives(times=jnp.zeros((0, 1)), values=jnp.zeros((0, 1)))
-    times, values = (jnp.stack([_pad(p[k], points) for p in profiles]) for k in (0, 1))
-    return Drives(times=times, values=values)
+    given = [r.angular_speed if r.angular_speed is not None else r.surface_speed for r in rollers]
+    of_surface = np.array([r.angular_speed is None for r in rollers], dtype=bool)
+    if not any(isinstance(g, Profile) for g in given):
+        times, values = np.zeros((len(rollers), 1)), _stack(given)[:, None]
+    else:
+        both = [(g.times, g.values) if isinstance(g, Profile) else (jnp.zeros((1,)), g[None]) for g in given]
+        points = max(t.shape[0] for t, _ in both)
+        times, values = (jnp.stack([_pad(p[k], points) for p in both]) for k in (0, 1))
+    return Drives(
+        times=jnp.asarray(times, values.dtype),
+        values=jnp.where(of_surface[:, None], values / radius[:, None], values),
+    )
 
 
 def _pad(values: Array, points: int) -> Array:
@@ -450,11 +463,10 @@ def _pad(values: Array, points: int) -> Array:
 
 
 def _lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, ArcGuide]]) -> tuple[Lines, Arcs]:
-    sx, sy = _stack([g.start[0] for _, g in lines]), _stack([g.start[1] for _, g in lines])
-    ex, ey = _stack([g.end[0] for _, g in lines]), _stack([g.end[1] for _, g in lines])
+    (sx, sy), (ex, ey) = _columns([g.start for _, g in lines]), _columns([g.end for _, g in lines])
     length = jnp.sqrt((ex - sx) ** 2 + (ey - sy) ** 2)
     tx, ty = (ex - sx) / length, (ey - sy) / length
-    cx, cy = _stack([g.center[0] for _, g in arcs]), _stack([g.center[1] for _, g in arcs])
+    cx, cy = _columns([g.center for _, g in arcs])
     radius = _stack([g.radius for _, g in arcs])
     start, sweep = (jnp.deg2rad(_stack([getattr(g, f) for _, g in arcs])) for f in ("start_angle", "sweep"))
     side = _stack([1.0 if g.side == "inside" else -1.0 for _, g in arcs])
@@ -494,6 +506,7 @@ def _joined(ends: list[tuple[Array, Array]]) -> list[Array]:
 
 
 def _circles(
+    roller_set: Rollers,
     rollers: list[tuple[str, Any]],
     guides: list[tuple[str, CircleGuide]],
     lines: tuple[list[tuple[str, Any]], Lines],
@@ -506,12 +519,15 @@ def _circles(
         if parts
     ]
     zeros = jnp.zeros((len(rollers),))
-    owners = rollers + guides + [p for _, parts, _, _ in tips for p in parts]
+    (x, y), owners = (
+        _columns([g.center for _, g in guides]),
+        rollers + guides + [p for _, parts, _, _ in tips for p in parts],
+    )
     circles = Circles(
-        x=jnp.concatenate([zeros, _stack([g.center[0] for _, g in guides]), *[f.tip_x[e] for _, _, f, e in tips]]),
-        y=jnp.concatenate([zeros, _stack([g.center[1] for _, g in guides]), *[f.tip_y[e] for _, _, f, e in tips]]),
+        x=jnp.concatenate([zeros, x, *[f.tip_x[e] for _, _, f, e in tips]]),
+        y=jnp.concatenate([zeros, y, *[f.tip_y[e] for _, _, f, e in tips]]),
         radius=jnp.concatenate(
-            [_stack([p.radius for _, p in rollers + guides]), *[f.tip_radius for _, _, f, _ in tips]]
+            [roller_set.radius, _stack([p.radius for _, p in guides]), *[f.tip_radius for _, _, f, _ in tips]]
         ),
         active=jnp.concatenate([jnp.ones((len(rollers) + len(guides),)), *[1.0 - f.joined[e] for _, _, f, e in tips]]),
         tip_of=tuple((family, k, end) for family, parts, _, end in tips for k in range(len(parts))),
@@ -523,7 +539,9 @@ def _circles(
 
 
 def _surface(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
-    friction = _stack([p.friction for _, p in parts])
+    once = {id(part): part for _, part in parts}  # a guide owns its tips too
+    place = {key: k for k, key in enumerate(once)}
+    friction = _stack([part.friction for part in once.values()])[np.array([place[id(p)] for _, p in parts], dtype=int)]
     return _surface_of(scene, [p.contact for _, p in parts], friction, tuple(name for name, _ in parts))
 
 
@@ -532,7 +550,8 @@ def _pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tup
 
     They never stick: each turns freely or drives the other, and what they carry tangentially is a bearing's drag.
     """
-    friction = jnp.minimum(*(_stack([rollers[p[k]][1].friction for p in pairs]) for k in (0, 1)))
+    each, index = _stack([r.friction for _, r in rollers]), np.array(pairs, dtype=int).reshape(-1, 2)
+    friction = jnp.minimum(each[index[:, 0]], each[index[:, 1]])
     names = tuple(f"{rollers[i][0]}+{rollers[j][0]}" for i, j in pairs)
     return _surface_of(scene, [rollers[i][1].contact for i, _ in pairs], friction, names, can_stick=False)
 

@@ -98,7 +98,9 @@ def proportion(failures: int, runs: int, level: float = 0.95) -> Proportion:
     ValueError for more failures than runs, or fewer than none.
     """
     if not 0 <= failures <= runs:
-        raise ValueError(f"failures must not be greater than the number of runs, {runs}, nor negative, but are {failures}")
+        raise ValueError(
+            f"failures must not be greater than the number of runs, {runs}, nor negative, but are {failures}"
+        )
     if runs == 0:
         return Proportion(math.nan, 0.0, 1.0)
     interval = stats.binomtest(failures, runs).proportion_ci(level, method="exact")
