@@ -6,13 +6,14 @@ are told as data: more bodies within reach than slots, and a sheet that moved fu
 Where the steps are not given, the first can be helped: the next search is made earlier (`for_as_long_as_they_last`).
 """
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from diffeed.bodies import bodies, spins
-from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near
+from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near, roller_gaps
 from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import Model, Path
 from diffeed.state import State
@@ -28,12 +29,17 @@ SIZE = 100.0
 """mm from its pivot to the far end of a swinging guide; larger ones are caught by the margin."""
 
 
+PAIRS = 4
+"""Pairs of rollers kept for each movable one: a pinch has its drive, and room for what else may come near."""
+
+
 class Slots(NamedTuple):
-    """Bodies kept per feature and family; None: the family is small enough to be kept whole."""
+    """Bodies kept per feature and family, and pairs of rollers; None: few enough to be kept whole."""
 
     circles: int | None
     lines: int | None
     arcs: int | None
+    pairs: int | None = None
 
     @property
     def any(self) -> bool:
@@ -47,7 +53,13 @@ def slots(model: Model) -> Slots:
         wanted = min(MOST_SLOTS, 4 + -(-2 * count // model.layout.n_bars))
         return wanted if count > wanted else None
 
-    return Slots(choose(len(model.circle_names)), choose(len(model.lines.names)), choose(len(model.arcs.names)))
+    pairs = PAIRS * model.rollers.n_movable
+    return Slots(
+        circles=choose(len(model.circle_names)),
+        lines=choose(len(model.lines.names)),
+        arcs=choose(len(model.arcs.names)),
+        pairs=pairs if len(model.pairs) > 2 * pairs else None,
+    )
 
 
 class Candidates(NamedTuple):
@@ -80,13 +92,18 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     found, free = [], []
     families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
-    for near, depth, count in zip(families, depths, size, strict=True):
+    for near, depth, count in zip(families, depths, size[:3], strict=True):
         index, next_gap = None, jnp.inf
         if count is not None:
             index, next_gap = _nearest(near(model, rows, world, whole), depth, count, model)
         found.append(index)
         free.append(next_gap)
-    limit = jnp.minimum(jnp.minimum(free[0], free[1]), free[2])
+    if size.pairs is not None:
+        gap = lax.stop_gradient(roller_gaps(model, world, model.pair_index)[3])
+        closest, index = lax.top_k(-gap, size.pairs + 1)
+        found.append(index[:-1])
+        free.append(-closest[-1])
+    limit = functools.reduce(jnp.minimum, free)
     return Candidates(keep(model, *found), reach, jnp.asarray(limit, reach.dtype), x, y, state.travel, pace)
 
 
@@ -138,6 +155,7 @@ def _path_speed(path: Path) -> Array:
 def check_reach(model: Model, found: Candidates, after: State) -> Array:
     """Whether the candidates were good until `after`: nothing moved further than the search reached."""
     x, y = nodes(model, pose(model, after))
-    moved = jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y))
-    moved = moved + jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
+    travel = jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
+    # A sheet and a movable roller come nearer to each other, or two movable rollers.
+    moved = travel + jnp.maximum(jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y)), travel)
     return found.complete & ~(moved > found.reach)

@@ -10,7 +10,7 @@ entry in `_near` and `keep`; law, sums and solver do not change.
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -137,6 +137,8 @@ class Kept(NamedTuple):
     surface: Surface
     allowed: Array  # mm that a bar axis may lie inside
     approach: Array  # mm that a sheet may come nearer in one step
+    pair_index: tuple[Any, Any]  # first and second roller of the pairs of rollers that are looked at
+    pair_surface: Surface
     slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
 
@@ -189,8 +191,10 @@ def allowed_approaches(model: Model) -> Array:
     return jnp.concatenate([circles, 0.5 * allowed_depths(model)[model.circles.radius.shape[0] :]])
 
 
-def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array | None) -> Kept:
-    """The bodies of the given indices, (slots, features) each."""
+def keep(
+    model: Model, circles: Array | None, lines: Array | None, arcs: Array | None, pairs: Array | None = None
+) -> Kept:
+    """The bodies of the given indices, (slots, features) each, and the pairs of rollers of the given ones."""
     rollers, n = model.rollers, len(model.circle_names)
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
@@ -209,6 +213,10 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         looked_up = n if model.sticks[0] else rollers.n
         hot = circles[None] == jnp.arange(looked_up, dtype=circles.dtype)[:, None, None]
         slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
+    pair_index, pair_surface = model.pair_index, model.pair_surface
+    if pairs is not None:
+        both = jnp.stack([jnp.asarray(i, pairs.dtype) for i in pair_index])[:, pairs]
+        pair_index, pair_surface = (both[0], both[1]), jax.tree.map(lambda v: v[pairs], pair_surface)
     return Kept(
         circle_index=circles,
         line_index=lines,
@@ -223,6 +231,8 @@ def keep(model: Model, circles: Array | None, lines: Array | None, arcs: Array |
         surface=jax.tree.map(surface, model.surface),
         allowed=surface(allowed_depths(model)),
         approach=surface(allowed_approaches(model)),
+        pair_index=pair_index,
+        pair_surface=pair_surface,
         slot=slot,
         has_slot=has_slot,
     )
@@ -409,6 +419,8 @@ def by_circle(kept: Kept, values: Array, count: int) -> Array:
 class RollerPairs(NamedTuple):
     """Roller against roller, (pairs,): the normal pushes the first away from the second."""
 
+    between: tuple[Any, Any]  # index of the first and of the second
+    surface: Surface
     touch: Touch
     gap: Array
     nx: Array
@@ -417,15 +429,26 @@ class RollerPairs(NamedTuple):
     v_t: Array
 
 
-def roller_contacts(model: Model, world: Bodies) -> RollerPairs:
-    """Rollers against each other: a pinch rests on its drive when no sheet is there. Their friction is regularised."""
-    i, j = model.pair_index
-    radius = model.rollers.radius
-    both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, np.concatenate([i, j])]
-    a, b = Rigid(*both[:, : len(i)]), Rigid(*both[:, len(i) :])
+def roller_gaps(model: Model, world: Bodies, index: tuple[Any, Any]) -> tuple[Rigid, Rigid, Near, Array]:
+    """Motions of the two rollers of pairs, where they are nearest, and their gap: (pairs,) each."""
+    i, j = index
+    radius, count = model.rollers.radius, i.shape[0]
+    both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, _joined(i, j)]
+    a, b = Rigid(*both[:, :count]), Rigid(*both[:, count:])
     near = point_circle(a.x, a.y, b.x, b.y, radius[j])
-    gap = near.gap - radius[i]
+    return a, b, near, near.gap - radius[i]
+
+
+def _joined(i: Any, j: Any) -> Any:
+    return np.concatenate([i, j]) if isinstance(i, np.ndarray) else jnp.concatenate([i, j])
+
+
+def roller_contacts(model: Model, world: Bodies, kept: Kept) -> RollerPairs:
+    """Rollers against each other: a pinch rests on its drive when no sheet is there. Their friction is regularised."""
+    (i, j), radius = kept.pair_index, model.rollers.radius
+    a, b, near, gap = roller_gaps(model, world, kept.pair_index)
     dvx, dvy = a.vx - b.vx, a.vy - b.vy
     v_n = near.nx * dvx + near.ny * dvy
     v_t = near.nx * dvy - near.ny * dvx - a.w * radius[i] - b.w * radius[j]
-    return RollerPairs(contact_law(model.pair_surface, -gap, v_n, v_t, 1.0), gap, near.nx, near.ny, v_n, v_t)
+    touch = contact_law(kept.pair_surface, -gap, v_n, v_t, 1.0)
+    return RollerPairs(kept.pair_index, kept.pair_surface, touch, gap, near.nx, near.ny, v_n, v_t)

@@ -66,7 +66,7 @@ def _contact_energy(model: Model, touching: Contacts) -> Array:
     if pairs is not None:
         total = total + jnp.sum(pairs.weight * elastic_energy(model.surface.column(), -pairs.gap))
     if touching.rollers is not None:
-        total = total + jnp.sum(elastic_energy(model.pair_surface, -touching.rollers.gap))
+        total = total + jnp.sum(elastic_energy(touching.rollers.surface, -touching.rollers.gap))
     return total
 
 
@@ -97,7 +97,7 @@ def _damping_loss(model: Model, touching: Contacts) -> Array:
     if sheets is not None:
         total = total + loss(model.surface.column(), sheets, sheets.weight)
     if rollers is not None:
-        total = total + loss(model.pair_surface, rollers, 1.0)
+        total = total + loss(rollers.surface, rollers, 1.0)
     return total
 
 
@@ -110,6 +110,6 @@ def _drive_power(model: Model, world: Bodies, sheets: Pairs | None, pairs: Rolle
     if sheets is not None:
         moment = moment + jnp.sum(sheets.touch.friction[:n], axis=1) * r.radius
     if pairs is not None:
-        i, j = model.pair_index
+        i, j = pairs.between
         moment = moment.at[i].add(pairs.touch.friction * r.radius[i]).at[j].add(pairs.touch.friction * r.radius[j])
     return -jnp.sum(jnp.where(r.driven, moment * world.spin, 0.0))

@@ -32,7 +32,7 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
     fastest, leap = jnp.max(jnp.abs(now)), 0.5 * h * jnp.max(jnp.abs(now - then))
     cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(model, touching.sheets, kept, h)
     if touching.rollers is not None:
-        i, j = model.pair_index
+        i, j = touching.rollers.between
         allowed = allowed_in_circles(model.rollers.radius)
         allowed = jnp.minimum(allowed[i], allowed[j])
         cause = jnp.where(jnp.any(touching.rollers.gap < -allowed), TOO_DEEP, cause)

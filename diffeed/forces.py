@@ -51,7 +51,7 @@ def contacts(
     held = stick.of_pairs(model, grip, kept, ahead, pressed)
     return Contacts(
         sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
-        rollers=roller_contacts(model, world) if model.pairs else None,
+        rollers=roller_contacts(model, world, kept) if model.pairs else None,
     )
 
 
@@ -348,11 +348,12 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
     start = rollers.counts[0]
-    gn, gt = jnp.zeros((len(model.pairs), m)), jnp.zeros((len(model.pairs), m + f))
-    for side, k in ((1.0, 0), (-1.0, 1)):
-        index = model.pair_index[k]
-        at_travel = jnp.asarray(index[:, None] == np.arange(m)[None, :], gn.dtype)
-        at_spin = jnp.asarray(index[:, None] == start + np.arange(f)[None, :], gn.dtype)
+    count = pairs.gap.shape[0]
+    gn, gt = jnp.zeros((count, m)), jnp.zeros((count, m + f))
+    for side, given in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
+        index = jnp.asarray(given, jnp.int32)
+        at_travel = jax.nn.one_hot(index, m, dtype=gn.dtype)
+        at_spin = jax.nn.one_hot(index - start, f, dtype=gn.dtype)
         along = pairs.nx[:, None] * rollers.dir_x[None, :] + pairs.ny[:, None] * rollers.dir_y[None, :]
         across = pairs.nx[:, None] * rollers.dir_y[None, :] - pairs.ny[:, None] * rollers.dir_x[None, :]
         gn = gn + side * at_travel * along

@@ -143,11 +143,12 @@ def _simulate(
     first = begin(model, scene, initial, observe)
 
     def one_frame(carry: Progress, frame: Array) -> tuple[Progress, State]:
-        starts = (frame * counts.blocks + jnp.arange(counts.blocks)) * counts.steps
-        carry, _ = lax.scan(one_block, carry, starts)
+        begun = frame * (counts.blocks * counts.steps)
+        (carry, _), _ = lax.scan(one_block, (carry, begun), length=counts.blocks)
         return carry, carry.state
 
-    def one_block(carry: Progress, start: Array) -> tuple[Progress, None]:
+    def one_block(given: tuple[Progress, Array], _: None) -> tuple[tuple[Progress, Array], None]:
+        carry, start = given  # the count goes along: as an input of the scan it would be stored for every block
         with jax.named_scope("search"):
             found = search(model, carry.state, counts.steps * h)
 
@@ -159,7 +160,7 @@ def _simulate(
             return taken(model, scene, carry, after, touching, h, found.kept, observe), None
 
         carry, _ = lax.scan(one_step, entering(carry, found), start + jnp.arange(counts.steps))
-        return searched(model, found, carry), None
+        return (searched(model, found, carry), start + counts.steps), None
 
     if counts.total > MANY:
         one_block = jax.checkpoint(one_block, prevent_cse=False)

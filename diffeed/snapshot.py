@@ -93,7 +93,7 @@ def roller_track(model: Model, state: State, at: Pose, world: Bodies, touching: 
 def _pair_torque(model: Model, touching: Contacts) -> Array:
     assert touching.rollers is not None
     radius = model.rollers.radius
-    i, j = model.pair_index
+    i, j = touching.rollers.between
     pull = touching.rollers.touch.friction / NEWTON
     torque = jnp.zeros_like(radius).at[i].add(pull * radius[i])
     return torque.at[j].add(pull * radius[j])

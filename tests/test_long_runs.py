@@ -73,14 +73,13 @@ def test_sixty_seconds_on_a_drum(method):
 
 
 def test_memory_does_not_grow_with_the_time():
-    """Of the compiled run with the same frames: what it works in, one second against a minute, which is 118 000 steps more.
-    The counter of the loop over blocks of up to 16 steps takes 8 bytes for each of those in a frame."""
+    """Of the compiled run with the same frames: what it works in, one second against a minute, which is 118 000 steps more."""
 
     def working(duration):
         run = jax.jit(lambda s: diffeed.simulate(s, duration=duration, dt=DT, frames=11))
         return run.lower(drum()).compile().memory_analysis().temp_size_in_bytes
 
-    assert working(60.0) <= working(1.0) + 8 * 120_000 // 10 // 8
+    assert working(60.0) <= working(1.0) + 100
 
 
 PRINT_BITS = """

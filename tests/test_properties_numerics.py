@@ -17,6 +17,7 @@ from scipy.optimize import brentq
 
 import diffeed
 from diffeed import candidates
+from diffeed.bench.transport import transport
 from diffeed.candidates import search
 from diffeed.contact import keep_all, sheet_contacts
 from diffeed.forces import Step, pair_terms
@@ -70,11 +71,29 @@ def test_search_changes_no_run(method, monkeypatch):
     scene = posts(np.random.default_rng(0))
     searched = run(scene, method)
     assert np.count_nonzero(np.max(searched.guides.block.force, axis=0) > 0) > 3
-    monkeypatch.setattr(candidates, "slots", lambda model: candidates.Slots(None, None, None))
-    counts = plan(DURATION, DT, 3)
-    whole = jax.jit(lambda s: _simulate.__wrapped__(s, DURATION / counts.total, None, counts, method, ()))(scene)
+    whole = _run_with_every_pair(scene, method, monkeypatch)
     # Rounding only: pairs are summed in another order; 1e-14 of a force in each of 200 steps.
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
+
+
+def test_search_among_rollers_changes_no_run(monkeypatch):
+    """Pinches that lie on their drives, and the first of them opened by the sheet."""
+    scene = normalise(replace(transport(nips=8, duration=DURATION), gravity=(0.0, 0.0)))
+    searched = run(scene, "linear_euler")
+    assert searched.ok, searched.failure.describe()
+    slots = candidates.slots(build(scene))
+    assert slots.pairs is not None
+    assert slots.pairs < 0.5 * len(build(scene).pairs)
+    whole = _run_with_every_pair(scene, "linear_euler", monkeypatch)
+    assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
+    lying = np.asarray(searched.rollers.block.travel)
+    assert np.ptp(lying) > 1e-3
+
+
+def _run_with_every_pair(scene: Scene, method: str, monkeypatch):
+    monkeypatch.setattr(candidates, "slots", lambda model: candidates.Slots(None, None, None))
+    counts = plan(DURATION, DT, 3)
+    return jax.jit(lambda s: _simulate.__wrapped__(s, DURATION / counts.total, None, counts, method, ()))(scene)
 
 
 # --- bars ------------------------------------------------------------------------------------------------------------
