@@ -72,6 +72,7 @@ class Candidates(NamedTuple):
     y: Array
     travel: Array
     pace: Array  # mm/s: no surface of a roller or guide moves faster
+    run_up: Array  # mm by which two movable rollers may come nearer beyond `reach`
 
     @property
     def complete(self) -> Array:
@@ -86,7 +87,7 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     size, pace = slots(model), _fastest_surface(model, state, span)
     if not model.has_bodies or not size.any:
         always = jnp.full((), jnp.inf)
-        return Candidates(keep_all(model), always, always, x, y, state.travel, pace)
+        return Candidates(keep_all(model), always, always, x, y, state.travel, pace, always)
     world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
     reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
     found, free = [], []
@@ -98,13 +99,16 @@ def search(model: Model, state: State, span: Array) -> Candidates:
             index, next_gap = _nearest(near(model, rows, world, whole), depth, count, model)
         found.append(index)
         free.append(next_gap)
+    run_up = jnp.full((), jnp.inf, reach.dtype)
     if size.pairs is not None:
+        run_up = _run_up(model, state, span)
         gap = lax.stop_gradient(roller_gaps(model, world, model.pair_index)[3])
         closest, index = lax.top_k(-gap, size.pairs + 1)
         found.append(index[:-1])
-        free.append(-closest[-1])
+        free.append(-closest[-1] - run_up)
     limit = functools.reduce(jnp.minimum, free)
-    return Candidates(keep(model, *found), reach, jnp.asarray(limit, reach.dtype), x, y, state.travel, pace)
+    limit = jnp.asarray(limit, reach.dtype)
+    return Candidates(keep(model, *found), reach, limit, x, y, state.travel, pace, run_up)
 
 
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
@@ -142,6 +146,13 @@ def _fastest_surface(model: Model, state: State, span: Array) -> Array:
     return lax.stop_gradient(sum(speeds[1:], speeds[0]))
 
 
+def _run_up(model: Model, state: State, span: Array) -> Array:
+    """mm: what two movable rollers close while their springs set them going, with the margin."""
+    r = model.rollers
+    push = (jnp.abs(r.preload) + r.spring * jnp.abs(state.travel)) / r.mass
+    return lax.stop_gradient(MARGIN * span**2 * jnp.max(push, initial=0.0))
+
+
 def _path_speed(path: Path) -> Array:
     """A bound on the speed of a moving guide: shift, and turn about its pivot at up to `SIZE` mm."""
     span = jnp.diff(path.times)
@@ -156,6 +167,5 @@ def check_reach(model: Model, found: Candidates, after: State) -> Array:
     """Whether the candidates were good until `after`: nothing moved further than the search reached."""
     x, y = nodes(model, pose(model, after))
     travel = jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
-    # A sheet and a movable roller come nearer to each other, or two movable rollers.
-    moved = travel + jnp.maximum(jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y)), travel)
-    return found.complete & ~(moved > found.reach)
+    moved = jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y)) + travel
+    return found.complete & ~(moved > found.reach) & ~(2.0 * travel > found.reach + found.run_up)

@@ -63,7 +63,7 @@ def test_the_fuzzer_feeds_bytes_and_says_what_it_needs(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", "run --force", "tolerance", "design"])
+@pytest.mark.parametrize("name", ["run", "run --force", "tolerance", "design", "check", "compare", "bench"])
 def test_a_killed_command_leaves_what_can_be_brought_to_its_end(tmp_path, name):
     place = kill.Place(tmp_path)
     for seed in range(2):
