@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from diffeed.bodies import bodies, spins
+from diffeed.bodies import Bodies, bodies, spins
 from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near, roller_gaps
 from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import Model, Path
@@ -62,6 +62,11 @@ def slots(model: Model) -> Slots:
     )
 
 
+SURE, PER_BAR = 32, 2
+"""Bodies of a family that a search looks at closely: so many, and so many for each bar. Families of up to twice that are
+looked at whole."""
+
+
 class Candidates(NamedTuple):
     """Kept bodies, the reach that they were chosen for, and the reach within which no other body is."""
 
@@ -88,15 +93,17 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     if not model.has_bodies or not size.any:
         always = jnp.full((), jnp.inf)
         return Candidates(keep_all(model), always, always, x, y, state.travel, pace, always)
-    world, rows, whole = bodies(model, state, state.time, state.time), features(model, at), keep_all(model)
+    world, rows = bodies(model, state, state.time, state.time), features(model, at)
+    close = _close_by(model, world, x, y)
+    looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
     found, free = [], []
     families = (circles_near, lines_near, arcs_near)
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
-    for near, depth, count in zip(families, depths, size[:3], strict=True):
+    for near, depth, count, of in zip(families, depths, size[:3], close, strict=True):
         index, next_gap = None, jnp.inf
         if count is not None:
-            index, next_gap = _nearest(near(model, rows, world, whole), depth, count, model)
+            index, next_gap = _nearest(near(model, rows, world, looked_at), depth, count, model, of)
         found.append(index)
         free.append(next_gap)
     run_up = jnp.full((), jnp.inf, reach.dtype)
@@ -118,16 +125,48 @@ def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates
     return found._replace(reach=reach), span * jnp.maximum(share, 0.0)
 
 
-def _nearest(near: Closest, depth: Array | None, count: int, model: Model) -> tuple[Array, Array]:
+class Close(NamedTuple):
+    """Which bodies of a family are close to a sheet, and a bound below the gaps of all others (mm)."""
+
+    which: Array
+    free: Array
+
+
+def _close_by(model: Model, world: Bodies, x: Array, y: Array) -> tuple[Close | None, ...]:
+    """By the circles about bodies, and the nodes: for circles, lines and arcs. None: the whole family.
+
+    No point of a sheet is further from a node than half a bar, and no point of a curve through the bars than a whole one.
+    """
+    lines, arcs, r = world.lines, world.arcs, model.circles.radius
+    thick = 2.0 * jnp.max(model.bars.half_length) + jnp.max(model.bars.half_thickness)
+    half = 0.5 * lines.length
+    circle = jnp.where(model.circles.active > 0, r, -jnp.inf)
+    families = (
+        (world.circles.x, world.circles.y, circle),
+        (lines.x + half * lines.tx, lines.y + half * lines.ty, half + model.lines.faces.depth),
+        (arcs.x, arcs.y, arcs.radius + model.arcs.faces.depth),
+    )
+    count = SURE + PER_BAR * model.layout.n_bars
+    return tuple(_closest(*f, x, y, thick, count) if f[0].shape[0] > 2 * count else None for f in families)
+
+
+def _closest(cx: Array, cy: Array, radius: Array, x: Array, y: Array, thick: Array, count: int) -> Close:
+    squared = jnp.min((cx[:, None] - x[None]) ** 2 + (cy[:, None] - y[None]) ** 2, axis=1)
+    closest, index = lax.top_k(-lax.stop_gradient(jnp.sqrt(squared) - radius - thick), count + 1)
+    return Close(index[:-1], -closest[-1])
+
+
+def _nearest(near: Closest, depth: Array | None, count: int, model: Model, of: Close | None) -> tuple[Array, Array]:
     """(slots, features) indices of the nearest bodies, and the smallest gap of all others."""
-    gap = near.gap
+    gap, every = near.gap, slice(None) if of is None else of.which
     if depth is None:
-        gap = jnp.where(model.circles.active[:, None] > 0, gap, jnp.inf)
+        gap = jnp.where(model.circles.active[every, None] > 0, gap, jnp.inf)
     else:
         # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-        gap = gap - jnp.where(near.weight > 0, 0.0, depth[:, None])
+        gap = gap - jnp.where(near.weight > 0, 0.0, depth[every, None])
     closest, index = lax.top_k(-lax.stop_gradient(gap).T, count + 1)
-    return index[:, :count].T, -jnp.max(closest[:, count])
+    index, free = index[:, :count].T, -jnp.max(closest[:, count])
+    return (index, free) if of is None else (of.which[index], jnp.minimum(free, of.free))
 
 
 def _fastest_node(model: Model, at: Pose) -> Array:

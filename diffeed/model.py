@@ -519,10 +519,8 @@ def _circles(
         if parts
     ]
     zeros = jnp.zeros((len(rollers),))
-    (x, y), owners = (
-        _columns([g.center for _, g in guides]),
-        rollers + guides + [p for _, parts, _, _ in tips for p in parts],
-    )
+    owners = rollers + guides + [p for _, parts, _, _ in tips for p in parts]
+    x, y = _columns([g.center for _, g in guides])
     circles = Circles(
         x=jnp.concatenate([zeros, x, *[f.tip_x[e] for _, _, f, e in tips]]),
         y=jnp.concatenate([zeros, y, *[f.tip_y[e] for _, _, f, e in tips]]),

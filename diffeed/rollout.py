@@ -57,7 +57,7 @@ def plan(duration: float, dt: float, frames: int) -> Plan:
 
 def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
     """So many steps per frame or a few more, in equal blocks of at most `most`."""
-    whole = [k for k in range(most, most // 2 - 1, -1) if per_frame % k == 0]
+    whole = [k for k in range(most, max(2, -(-most // 2)) - 1, -1) if per_frame % k == 0]
     blocks = per_frame // whole[0] if whole else math.ceil(per_frame / most)
     return Plan(frames, blocks, math.ceil(per_frame / blocks))
 

@@ -192,6 +192,7 @@ def test_searches_are_close_in_steps_and_in_time(dt):
     assert counts.steps <= rollout.BLOCK
     assert counts.steps <= 2 or counts.steps * dt <= rollout.SEARCHED + 1e-12
     assert counts.steps > 1
+    assert counts.total <= 1.5 * 0.7 / dt
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from diffeed.candidates import search
 from diffeed.contact import keep_all, sheet_contacts
 from diffeed.forces import Step, pair_terms
 from diffeed.model import NEWTON, build
-from diffeed.parts import CircleGuide, Contact, Scene, Sheet, normalise
+from diffeed.parts import ArcGuide, CircleGuide, Contact, LineGuide, Scene, Sheet, normalise
 from diffeed.records import replace
 from diffeed.rollout import _simulate, plan
 from diffeed.snapshot import look
@@ -88,6 +88,30 @@ def test_search_among_rollers_changes_no_run(monkeypatch):
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
     lying = np.asarray(searched.rollers.block.travel)
     assert np.ptp(lying) > 1e-3
+
+
+def test_search_among_the_bodies_close_by_changes_no_run(monkeypatch):
+    """A path of lines and arcs, of which the sheet lies on a few."""
+    path = transport(bars=5, guides=240, driven=8, duration=DURATION)
+    guides = {}
+    for k in range(120):
+        guides[f"line_{k}"] = LineGuide(start=(100.0 * k + 15.0, -0.09), end=(100.0 * k + 40.0, -0.09))
+        guides[f"arc_{k}"] = ArcGuide(
+            center=(100.0 * k + 65.0, -20.09), radius=20.0, start_angle=45.0, sweep=90.0, side="outside"
+        )
+    scene = normalise(replace(path, guides=guides))
+    model = build(scene)
+    most = 2 * (candidates.SURE + candidates.PER_BAR * 5)
+    assert min(len(model.lines.names), len(model.arcs.names)) > most
+    searched = run(scene, "linear_euler")
+    pressed = {
+        n.split("_")[0]
+        for n, f in zip(searched.guides.names, searched.guides.block.force.T, strict=True)
+        if f.max() > 0
+    }
+    assert pressed == {"line", "arc"}
+    whole = _run_with_every_pair(scene, "linear_euler", monkeypatch)
+    assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
 
 
 def _run_with_every_pair(scene: Scene, method: str, monkeypatch):
