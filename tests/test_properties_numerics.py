@@ -62,7 +62,8 @@ def test_candidates_leave_no_force_out(structure, span, seed):
     (kept, whole), complete = _forces_both_ways(scene, jnp.asarray(span))
     assert bool(complete)
     assert float(jnp.max(jnp.abs(whole))) > 0.01 * NEWTON
-    assert np.max(np.abs(kept - whole)) < 1e-14 * float(jnp.max(jnp.abs(whole)))
+    # Two programs: the compiler may round a gap in another way, by eps times a place of 80 mm, of a depth of some 0.1 mm.
+    assert np.max(np.abs(kept - whole)) < 2e-13 * float(jnp.max(jnp.abs(whole)))
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -35,6 +35,13 @@ def test_what_the_user_set_stays(flags):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("version", "count"), [("0.10.2", 1), ("0.11.2", 0), ("0.12.0.1", 1), ("0.13.0", 0)])
+def test_a_compiler_that_is_known_to_fuse_does_so_unasked(flags, version, count):
+    given = flags(tuning.compile_quickly, "", version)
+    assert len(given) == count
+    assert (given == flags(tuning.fuse_outputs, "", version)) == (version != "0.10.2")
+
+
 @pytest.mark.parametrize(("version", "count"), [("0.10.2", 2), ("0.11.2", 0), ("0.12.0.1", 1), ("1.0.0rc1", 0)])
 def test_a_compiler_gets_no_flags_that_it_may_not_know(flags, version, count):
     assert len(flags(tuning.fuse_outputs, "", version)) == count
