@@ -28,6 +28,8 @@ from diffeed.trajectory import Failure, Resume, Trajectory
 
 BLOCK = 16
 """Most steps between two searches for candidates."""
+LONG_BLOCK = 8
+"""Length of a block from which a frame may get some steps more than asked for: few long ones stay as they are."""
 SEARCHED = 2e-3
 """s: with long steps the searches stay this close in time, at 3 % more cost. A search over a longer time must reach further,
 and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
@@ -56,8 +58,9 @@ def plan(duration: float, dt: float, frames: int) -> Plan:
 
 
 def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
-    """So many steps per frame or a few more, in equal blocks of at most `most`."""
-    whole = [k for k in range(most, max(2, -(-most // 2)) - 1, -1) if per_frame % k == 0]
+    """So many steps per frame, in equal blocks of at most `most`; of many steps a few more, if that makes the blocks longer."""
+    least = most // 2 if most >= LONG_BLOCK else 1
+    whole = [k for k in range(most, least - 1, -1) if per_frame % k == 0]
     blocks = per_frame // whole[0] if whole else math.ceil(per_frame / most)
     return Plan(frames, blocks, math.ceil(per_frame / blocks))
 
