@@ -112,7 +112,7 @@ def search(model: Model, state: State, span: Array) -> Candidates:
         gap = lax.stop_gradient(roller_gaps(model, world, model.pair_index)[3])
         closest, index = lax.top_k(-gap, size.pairs + 1)
         found.append(index[:-1])
-        free.append(-closest[-1] - run_up)
+        free.append(-closest[-1] * reach / (reach + run_up))  # the two shrink together where a search is made earlier
     limit = functools.reduce(jnp.minimum, free)
     limit = jnp.asarray(limit, reach.dtype)
     return Candidates(keep(model, *found), reach, limit, x, y, state.travel, pace, run_up)
@@ -122,7 +122,9 @@ def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates
     """Candidates for the part of `span` in which no further body can come near, and that time (s)."""
     reach = jnp.minimum(found.reach, found.free)
     share = jnp.where(jnp.isfinite(found.reach), reach / found.reach, 1.0)
-    return found._replace(reach=reach), span * jnp.maximum(share, 0.0)
+    share = jnp.maximum(share, 0.0)
+    run_up = jnp.where(jnp.isfinite(found.run_up), share * found.run_up, found.run_up)
+    return found._replace(reach=reach, run_up=run_up), span * share
 
 
 class Close(NamedTuple):

@@ -35,9 +35,12 @@ class Scored:
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """Sorts the better first: passes, keeps the limits, low objective."""
+        """Sorts the better first: passes, keeps the limits, low objective. What has no value comes last."""
         kept = self.violation <= SLACK
-        return (any(v.status != "passed" for v in self.verdicts), not kept, self.objective if kept else self.violation)
+        worth = self.objective if kept else self.violation
+        known = bool(np.isfinite(worth))
+        passed = known and all(v.status == "passed" for v in self.verdicts)
+        return (not passed, not kept, worth if known else np.inf)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from cases.scenes import draw, free_sheet
 
 import diffeed
 from diffeed import rollout
+from diffeed.bench.transport import transport
 from diffeed.causes import CAUSES
 from diffeed.records import replace
 from diffeed.steppers import ESTIMATING
@@ -182,6 +183,16 @@ def test_pieces_are_one_run(rest):
 def test_no_more_bodies_than_slots_where_the_next_search_can_come_earlier(steps):
     """Long steps reach far: the gap bridge has more bodies near its sheet than a search keeps."""
     run = diffeed.simulate(diffeed.load_scene("gap_bridge"), duration=0.6, frames=7, **steps)
+    assert run.ok, run.failure.describe()
+
+
+@pytest.mark.slow
+def test_hard_pressed_pinches_are_searched_often_enough():
+    """The search among rollers reaches as far as 20 N take a pinch; over a long step that is further than the next nip."""
+    scene = transport(nips=12, duration=0.05)
+    for name in (n for n in scene.rollers if n.startswith("pinch")):
+        scene = diffeed.put(scene, f"rollers.{name}.preload", 20.0)
+    run = diffeed.simulate(scene, tolerance=1e-2, frames=6, most_steps=400)
     assert run.ok, run.failure.describe()
 
 
