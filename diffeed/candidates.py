@@ -62,7 +62,7 @@ def slots(model: Model) -> Slots:
     )
 
 
-SURE, PER_BAR = 32, 2
+AT_LEAST, PER_BAR = 32, 2
 """Bodies of a family that a search looks at closely: so many, and so many for each bar. Families of up to twice that are
 looked at whole."""
 
@@ -148,7 +148,7 @@ def _close_by(model: Model, world: Bodies, x: Array, y: Array) -> tuple[Close | 
         (lines.x + half * lines.tx, lines.y + half * lines.ty, half + model.lines.faces.depth),
         (arcs.x, arcs.y, arcs.radius + model.arcs.faces.depth),
     )
-    count = SURE + PER_BAR * model.layout.n_bars
+    count = AT_LEAST + PER_BAR * model.layout.n_bars
     return tuple(_closest(*f, x, y, thick, count) if f[0].shape[0] > 2 * count else None for f in families)
 
 

@@ -203,6 +203,14 @@ class Freed(NamedTuple):
     guess: Array | None
 
 
+class _Found(NamedTuple):
+    """What the search for a rest found: the rest, 1.0 if it is one, else 0.0, and the slope of the imbalance there."""
+
+    rest: Rest
+    found: Array
+    slope: Array | None
+
+
 def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
     """The deflections that hold what friction holds at a rest state, so that nothing jumps when it is let go."""
     still, start = freed.model, freed.start
@@ -228,26 +236,54 @@ def _imbalance(freed: Freed, rest: Rest) -> Rest:
 @jax.custom_jvp
 def _balance(freed: Freed) -> tuple[Rest, Array]:
     """Where the imbalance vanishes, and 1.0 if it was found, else 0.0."""
-    still, start, inertia, near = freed
-    q0, span2 = (positions(still, start), COLD) if near is None else (near, WARM)
-    guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
-    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start), span2)
+    found = _search_rest(freed, with_slope=False)
+    return found.rest, found.found
 
 
 @_balance.defjvp
 def _balance_moves(primals: tuple[Freed], tangents: tuple[Freed]) -> tuple[Any, Any]:
     """Implicit-function theorem: the rest moves by the change of the imbalance over its slope.
 
-    `lax.custom_root` does the same; it traces and compiles the slope again for reverse mode, where this rule needs only
-    the transpose of one matrix.
+    `lax.custom_root` does the same; it traces and compiles the slope twice more, where this rule takes it from the search.
     """
+    found = _balance_and_slope(*primals)
+    move = _move(found, *primals, *tangents)
+    return (found.rest, found.found), (move, jnp.zeros_like(found.found))
+
+
+@jax.custom_jvp
+def _balance_and_slope(freed: Freed) -> _Found:
+    return _search_rest(freed, with_slope=True)
+
+
+@_balance_and_slope.defjvp
+def _balance_and_slope_move(primals: tuple[Freed], tangents: tuple[Freed]) -> tuple[Any, Any]:
+    """Likewise, for derivatives of derivatives: how the slope changes, too."""
     (freed,), (freed_dot,) = primals, tangents
-    rest, converged = _balance(freed)
-    slope = _dense(jax.jacfwd(lambda r: _imbalance(freed, r))(rest))
-    _, change = jax.jvp(lambda f: _imbalance(f, rest), (freed,), (freed_dot,))
-    move = jnp.linalg.solve(slope, -jnp.concatenate(change))
-    n = rest.q.shape[0]
-    return (rest, converged), (Rest(move[:n], move[n:]), jnp.zeros_like(converged))
+    found = _balance_and_slope(freed)
+    move = _move(found, freed, freed_dot)
+
+    def slope(freed: Freed, rest: Rest) -> Array:
+        return _dense(jax.jacfwd(lambda r: _imbalance(freed, r))(rest))
+
+    _, slope_dot = jax.jvp(slope, (freed, found.rest), (freed_dot, move))
+    return found, _Found(move, jnp.zeros_like(found.found), slope_dot)
+
+
+def _move(found: _Found, freed: Freed, freed_dot: Freed) -> Rest:
+    _, change = jax.jvp(lambda f: _imbalance(f, found.rest), (freed,), (freed_dot,))
+    move = jnp.linalg.solve(found.slope, -jnp.concatenate(change))
+    n = found.rest.q.shape[0]
+    return Rest(move[:n], move[n:])
+
+
+def _search_rest(freed: Freed, with_slope: bool) -> _Found:
+    """Where the imbalance vanishes. The slope comes from the loop, which has it anyway: outside, it would be compiled again."""
+    still, start, inertia, near = freed
+    q0, span2 = (positions(still, start), COLD) if near is None else (near, WARM)
+    guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
+    limit = _step_limit(still, start)
+    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, limit, span2, with_slope)
 
 
 def generalised_inertia(model: Model, state: State) -> Array:
@@ -287,9 +323,11 @@ class _Search(NamedTuple):
     span2: Array
     before: Array
     done: Array
+    slope: Array | None  # of the imbalance, if wanted
+    sloped: Array  # whether that is the one at the rest found, which takes one more look
 
 
-def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float) -> tuple[Rest, Array]:
+def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float, with_slope: bool) -> _Found:
     """Pseudo-transient continuation: implicit steps from rest whose length grows as the imbalance falls (switched
     evolution relaxation), ending in Newton's method."""
     dtype = guess.q.dtype
@@ -302,7 +340,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         return jnp.max(jnp.abs(gap.q) / inertia) * 1e-6 + jnp.sum(jnp.abs(gap.reaction))
 
     def carry_on(carry: _Search) -> Array:
-        return (carry.tries < ITERATIONS) & ~carry.done
+        return (carry.tries < ITERATIONS) & ~(carry.sloped if with_slope else carry.done)
 
     def improve(carry: _Search) -> _Search:
         rest, span2 = carry.rest, carry.span2
@@ -322,8 +360,12 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         trial = Rest(rest.q + share * step.q, rest.reaction + share * step.reaction)
         trial = jax.tree.map(lambda a, b: jnp.where(good, a, b), trial, best)
         before = jnp.where(good, now, carry.before)
-        return _Search(carry.tries + 1, trial, best, next_span2, before, good & whole & close & (span2 > 1e2))
+        trial = jax.tree.map(lambda a, b: jnp.where(carry.done, a, b), rest, trial)
+        done = carry.done | (good & whole & close & (span2 > 1e2))
+        slope = _dense(jacobian) if with_slope else None
+        return _Search(carry.tries + 1, trial, best, next_span2, before, done, slope, carry.done)
 
+    unknowns = guess.q.shape[0] + guess.reaction.shape[0]
     start = _Search(
         jnp.zeros((), jnp.int32),
         guess,
@@ -331,9 +373,11 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         jnp.full((), first, dtype),
         jnp.full((), jnp.inf, dtype),
         jnp.zeros((), bool),
+        jnp.zeros((unknowns, unknowns), dtype) if with_slope else None,
+        jnp.zeros((), bool),
     )
-    found = lax.while_loop(carry_on, improve, start)
-    return found.rest, found.done.astype(dtype)
+    last = lax.while_loop(carry_on, improve, start)
+    return _Found(last.rest, last.done.astype(dtype), last.slope)
 
 
 def _newton_step(jacobian: Any, gap: Rest, shift: Array) -> Rest:

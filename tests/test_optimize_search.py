@@ -1,6 +1,7 @@
 """The search on a nip whose answer is known: the force of a nip is its preload and the spring's share (no gravity)."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,12 @@ def test_adam_finds_the_preload_of_a_wanted_force():
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.02)
     assert result.reason
     assert result.progress.counts.gradients == result.progress.iteration
+
+
+def test_a_point_without_a_value_never_wins():
+    good = score(problem_of(), np.array([0.5]))
+    assert good.verdicts[0].status == "passed"
+    assert min([replace(good, objective=np.nan), good, replace(good, violation=np.nan)], key=lambda s: s.rank) is good
 
 
 def test_the_blame_of_another_point_compiles_nothing(monkeypatch):

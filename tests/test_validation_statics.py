@@ -352,3 +352,19 @@ def test_a_search_from_a_near_rest_ends_at_the_same_rest_with_the_same_slope() -
     # Where it begins has no part in the answer.
     slopes = jax.grad(travel, argnums=1, allow_int=True)(3.4, near)
     assert max(float(np.max(np.abs(v), initial=0.0)) for v in jax.tree.leaves(slopes) if v.dtype.kind == "f") == 0.0
+
+
+@pytest.mark.slow
+def test_a_rest_has_second_derivatives() -> None:
+    """A nip of contacts that stiffen: by both modes over the rule of the search, and by differences."""
+    scene = nip(initial="settled")
+    scene = diffeed.put(scene, "contacts.default.exponent", 1.5)
+
+    def travel(preload):
+        return diffeed.settle(diffeed.put(scene, "rollers.pinch.preload", preload)).travel[0]
+
+    slope = jax.jit(jax.grad(travel))
+    apart = float(slope(3.41) - slope(3.39)) / 0.02
+    assert abs(apart) > 1e-4
+    assert float(jax.grad(slope)(3.4)) == pytest.approx(apart, rel=1e-4)
+    assert float(jax.jacfwd(slope)(3.4)) == pytest.approx(apart, rel=1e-4)
