@@ -52,7 +52,7 @@ def is_kept(model: Model) -> bool:
 
 def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts, h: Array) -> tuple[Book, Array]:
     """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
-    state, at, touching = lax.stop_gradient((state, at, touching))
+    model, state, at, touching = lax.stop_gradient((model, state, at, touching))
     moving, bending, height = sheet_energies(model, state, at)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
     power = power + _loads(model, at)

@@ -86,13 +86,19 @@ class Candidates(NamedTuple):
 
 
 def search(model: Model, state: State, span: Array) -> Candidates:
-    """Candidates for the next `span` seconds."""
+    """Candidates for the next `span` seconds. What is kept has derivatives, how it was chosen has none."""
+    index, measured = _choose(lax.stop_gradient(model), lax.stop_gradient(state), span)
+    return Candidates(keep_all(model) if index is None else keep(model, *index), *measured)
+
+
+def _choose(model: Model, state: State, span: Array) -> tuple[list[Array | None] | None, tuple[Array, ...]]:
+    """Indices of what to keep (None: everything), and all else that `Candidates` hold."""
     at = pose(model, state)
     x, y = nodes(model, at)
     size, pace = slots(model), _fastest_surface(model, state, span)
     if not model.has_bodies or not size.any:
         always = jnp.full((), jnp.inf)
-        return Candidates(keep_all(model), always, always, x, y, state.travel, pace, always)
+        return None, (always, always, x, y, state.travel, pace, always)
     world, rows = bodies(model, state, state.time, state.time), features(model, at)
     close = _close_by(model, world, x, y)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
@@ -109,13 +115,12 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     run_up = jnp.full((), jnp.inf, reach.dtype)
     if size.pairs is not None:
         run_up = _run_up(model, state, span)
-        gap = lax.stop_gradient(roller_gaps(model, world, model.pair_index)[3])
-        closest, index = lax.top_k(-gap, size.pairs + 1)
+        closest, index = lax.top_k(-roller_gaps(model, world, model.pair_index)[3], size.pairs + 1)
         found.append(index[:-1])
         free.append(-closest[-1] * reach / (reach + run_up))  # the two shrink together where a search is made earlier
     limit = functools.reduce(jnp.minimum, free)
     limit = jnp.asarray(limit, reach.dtype)
-    return Candidates(keep(model, *found), reach, limit, x, y, state.travel, pace, run_up)
+    return found, (reach, limit, x, y, state.travel, pace, run_up)
 
 
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
@@ -154,7 +159,7 @@ def _close_by(model: Model, world: Bodies, x: Array, y: Array) -> tuple[Close | 
 
 def _closest(cx: Array, cy: Array, radius: Array, x: Array, y: Array, thick: Array, count: int) -> Close:
     squared = jnp.min((cx[:, None] - x[None]) ** 2 + (cy[:, None] - y[None]) ** 2, axis=1)
-    closest, index = lax.top_k(-lax.stop_gradient(jnp.sqrt(squared) - radius - thick), count + 1)
+    closest, index = lax.top_k(-(jnp.sqrt(squared) - radius - thick), count + 1)
     return Close(index[:-1], -closest[-1])
 
 
@@ -166,14 +171,14 @@ def _nearest(near: Closest, depth: Array | None, count: int, model: Model, of: C
     else:
         # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
         gap = gap - jnp.where(near.weight > 0, 0.0, depth[every, None])
-    closest, index = lax.top_k(-lax.stop_gradient(gap).T, count + 1)
+    closest, index = lax.top_k(-gap.T, count + 1)
     index, free = index[:, :count].T, -jnp.max(closest[:, count])
     return (index, free) if of is None else (of.which[index], jnp.minimum(free, of.free))
 
 
 def _fastest_node(model: Model, at: Pose) -> Array:
     vx, vy = node_velocities(model, at)
-    return lax.stop_gradient(jnp.max(jnp.abs(vx) + jnp.abs(vy)))
+    return jnp.max(jnp.abs(vx) + jnp.abs(vy))
 
 
 def _fastest_surface(model: Model, state: State, span: Array) -> Array:
@@ -184,14 +189,14 @@ def _fastest_surface(model: Model, state: State, span: Array) -> Array:
     speeds.append(jnp.max(jnp.maximum(*surface), initial=0.0))
     for path in model.paths.values():
         speeds.append(_path_speed(path))
-    return lax.stop_gradient(sum(speeds[1:], speeds[0]))
+    return sum(speeds[1:], speeds[0])
 
 
 def _run_up(model: Model, state: State, span: Array) -> Array:
     """mm: what two movable rollers close while their springs set them going, with the margin."""
     r = model.rollers
     push = (jnp.abs(r.preload) + r.spring * jnp.abs(state.travel)) / r.mass
-    return lax.stop_gradient(MARGIN * span**2 * jnp.max(push, initial=0.0))
+    return MARGIN * span**2 * jnp.max(push, initial=0.0)
 
 
 def _path_speed(path: Path) -> Array:

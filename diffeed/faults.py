@@ -27,7 +27,7 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
 
     `touching` are the contacts of the state before, as the steppers see them.
     """
-    before, after, touching, kept = lax.stop_gradient((before, after, touching, kept))
+    model, before, after, touching, kept = lax.stop_gradient((model, before, after, touching, kept))
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, leap = jnp.max(jnp.abs(now)), 0.5 * h * jnp.max(jnp.abs(now - then))
     cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(model, touching.sheets, kept, h)
