@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    words names record_html records tuning files folders terminal toml_text limits smooth causes
+    words names record_html records tuning files folders terminal toml_text limits smooth once causes
     shapes skin contact_law
     parts
     check_values

@@ -1,0 +1,41 @@
+"""Derivatives computed once: the same numbers, less code."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from stand_in_nip import nip
+
+import diffeed
+from diffeed import contact, tuning
+from diffeed.once import derived_once
+
+
+def plain(x):
+    return jnp.stack([x * x, x**3])
+
+
+def guarded(x):
+    return derived_once(plain(x), jnp.asarray(7.0))
+
+
+@pytest.mark.parametrize("by", [jax.jacfwd, jax.jacrev, lambda f: jax.jacfwd(jax.jacrev(f))])
+def test_derivatives_are_the_same_bits(by):
+    x = jnp.asarray([0.3, -1.7, 1e-300])
+    assert jnp.array_equal(by(guarded)(x), by(plain)(x))
+    assert jnp.array_equal(guarded(x), plain(x))
+
+
+@pytest.mark.slow
+def test_the_compiled_gradient_of_a_run_is_smaller(monkeypatch):
+    """Operations of the compiled program, those that were merged into several readers counted in each. JAX 0.12 merges the
+    readers too, and has none twice: there it must not cost more."""
+
+    def operations():
+        jax.clear_caches()  # what was traced before knows nothing of the change
+        measure = jax.grad(lambda scene: diffeed.simulate(scene, dt=5e-4, frames=2).sheets["strip"].nodes[-1, 0, 0])
+        return jax.jit(measure).lower(nip()).compile().as_text().count(" = ")
+
+    with_it = operations()
+    monkeypatch.setattr(contact, "derived_once", lambda values, known: values)
+    without = operations()
+    assert with_it < (0.8 if tuning._jaxlib() < (0, 11) else 1.01) * without
