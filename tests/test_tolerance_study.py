@@ -15,6 +15,7 @@ from test_optimize_cli import ROOT
 import diffeed
 from diffeed import measures
 from optimize.asked import StudyError
+from optimize.tolerance import latitude as latitude_of
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import Folder, FolderError, read_rows
 from optimize.tolerance.latitude import latitude
@@ -278,7 +279,7 @@ assert len(jax.devices()) == 2
 
 
 @pytest.mark.slow
-def test_a_latitude_tells_what_passes_and_by_what_margin():
+def test_a_latitude_tells_what_passes_and_by_what_margin(monkeypatch):
     study = problem(
         latitude={"x": {"path": "sheets.strip.thickness", "range": [0.1, 0.3], "points": 3},
                   "y": {"path": "sheets.strip.curl", "range": [-0.01, 0.01], "points": 3}},
@@ -290,6 +291,13 @@ def test_a_latitude_tells_what_passes_and_by_what_margin():
     run = diffeed.simulate(scene, 0.01, 5e-4, 5, observe=("feed", "spans"))
     assert found.margin[2, 2] == pytest.approx(float(measures.jam_margin(scene, run)), rel=1e-6)
     assert found.labels[0] == "sheets.strip.thickness, mm"
+    # The machine before and after a change: one program for both.
+    monkeypatch.setattr(latitude_of, "run_of", None)
+    softer = diffeed.put(study.scene, "rollers.pinch.preload", 1.0)
+    other = latitude(study, softer)
+    run = diffeed.simulate(diffeed.put(scene, "rollers.pinch.preload", 1.0), 0.01, 5e-4, 5, observe=("feed", "spans"))
+    assert other.margin[2, 2] == pytest.approx(float(measures.jam_margin(softer, run)), rel=1e-6)
+    assert abs(other.margin[2, 2] - found.margin[2, 2]) > 1e-6
 
 
 def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):

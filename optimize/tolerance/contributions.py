@@ -1,5 +1,6 @@
 """How much each tolerance moves a measure: by gradients at the samples, and by Sobol indices from runs of their own."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from optimize.asked import values_of
+from optimize.programs import kept
 from optimize.tolerance.draws import deviations, groups
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
@@ -29,22 +31,25 @@ def slopes(problem: ToleranceProblem, deviation: np.ndarray) -> Slopes:
 
     NaN where a run fails, or where a measure has no slope (a sheet that never arrives).
     """
-    rest = rest_of(problem)
+    each = kept(("slopes", problem.key), lambda: Spread(_gradient_of(problem), TOGETHER))
+    points, rest = np.concatenate([np.zeros((1, deviation.shape[1])), deviation]), rest_of(problem)
+    asked = range(len(problem.asked))
+    rows = [np.column_stack([points, np.full(len(points), k)]) for k in asked]
+    whole = np.stack([each.all_of(r, rest) for r in rows], axis=1)
+    return Slopes(whole[0], whole[1:])
 
-    def values(d: Array) -> Array:
+
+def _gradient_of(problem: ToleranceProblem) -> Callable[[Array, Any], Array]:
+    def values(d: Array, rest: Any) -> Array:
         scene = sampled(problem.inputs, problem.scene, d)
         run = run_of(problem, scene, rest)
         return values_of(problem.asked, scene, run) * jnp.where(run.ok, 1.0, jnp.nan)
 
-    def gradient(row: Array) -> Array:
+    def gradient(row: Array, rest: Any) -> Array:
         """Of one measure; which one is the row's last number, so that a single program serves all of them."""
-        return jax.grad(lambda d: values(d)[row[-1].astype(int)])(row[:-1])
+        return jax.grad(lambda d: values(d, rest)[row[-1].astype(int)])(row[:-1])
 
-    points = np.concatenate([np.zeros((1, deviation.shape[1])), deviation])
-    each = Spread(gradient, TOGETHER)
-    asked = range(len(problem.asked))
-    whole = np.stack([each.all_of(np.column_stack([points, np.full(len(points), k)])) for k in asked], axis=1)
-    return Slopes(whole[0], whole[1:])
+    return gradient
 
 
 def refuse_groups(problem: ToleranceProblem) -> None:

@@ -1,6 +1,7 @@
 """The media latitude: which sheets pass, over two quantities, and by what margin."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +9,9 @@ from jax import Array
 
 import diffeed
 from diffeed import measures
+from optimize.programs import kept
 from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
-from optimize.tolerance.records import Axis
+from optimize.tolerance.records import Axis, Latitude
 from optimize.tolerance.run import bytes_of, run_of
 from optimize.tolerance.spread import Spread, chunk_size
 
@@ -26,26 +28,35 @@ class Map(NamedTuple):
 
 
 def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> Map:
-    """Run the scene of a study (or another of the same parts) over the two axes of its latitude, in one compiled call."""
+    """Run the scene of a study (or another of the same parts) over the two axes of its latitude, all by one compiled program."""
     asked = problem.study.latitude
     if asked is None:
         raise ValueError("the study has no [latitude.x] and [latitude.y]")
     scene = problem.scene if scene is None else scene
     x, y = (np.linspace(*axis.range, axis.points) for axis in (asked.x, asked.y))
-    rest = rest_of(problem)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    chunk = min(len(grid), chunk_size(lambda: bytes_of(problem)))
+    mark = ("latitude", problem.key, asked.model_dump_json(), chunk)
+    margin, passed = kept(mark, lambda: Spread(_outcome_at(problem, asked), chunk)).all_of(
+        grid, (scene, rest_of(problem))
+    )
+    shape = (len(y), len(x))
+    labels = (_label(problem, asked.x), _label(problem, asked.y))
+    nominal = (_nominal(problem, asked.x), _nominal(problem, asked.y))
+    return Map(x, y, margin.reshape(shape), passed.reshape(shape), labels, nominal)
 
-    def at(point: Array) -> tuple[Array, Array]:
+
+def _outcome_at(problem: ToleranceProblem, asked: Latitude) -> Callable[[Array, Any], tuple[Array, Array]]:
+    """Margin and verdict of a scene at a point of its latitude."""
+
+    def outcome(point: Array, given: tuple[diffeed.Scene, Any]) -> tuple[Array, Array]:
+        scene, rest = given
         moved = at_axis(problem, at_axis(problem, scene, asked.x, point[0]), asked.y, point[1])
         run = run_of(problem, moved, rest, ("feed", "spans"))
         margin = jnp.where(run.ok, measures.jam_margin(moved, run), jnp.nan)
         return margin, measures.outcome(moved, run).status == 0
 
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    margin, passed = Spread(at, min(len(grid), chunk_size(lambda: bytes_of(problem)))).all_of(grid)
-    shape = (len(y), len(x))
-    labels = (_label(problem, asked.x), _label(problem, asked.y))
-    nominal = (_nominal(problem, asked.x), _nominal(problem, asked.y))
-    return Map(x, y, margin.reshape(shape), passed.reshape(shape), labels, nominal)
+    return outcome
 
 
 def _label(problem: ToleranceProblem, axis: Axis) -> str:

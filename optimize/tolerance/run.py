@@ -66,8 +66,8 @@ class Evaluator:
     """Compiles once and runs chunks of samples."""
 
     def __init__(self, problem: ToleranceProblem, chunk: int | None = None) -> None:
-        rest = rest_of(problem)
-        self._spread = Spread(lambda d: one(problem, rest, d), chunk or chunk_size(lambda: bytes_of(problem)))
+        self._rest = rest_of(problem)
+        self._spread = Spread(lambda d, rest: one(problem, rest, d), chunk or chunk_size(lambda: bytes_of(problem)))
 
     @property
     def chunk(self) -> int:
@@ -75,7 +75,7 @@ class Evaluator:
 
     def __call__(self, sample: np.ndarray, deviation: np.ndarray) -> Rows:
         """At most `chunk` samples: indices (n,) and deviations (n, inputs)."""
-        return Rows(sample, deviation, *self._spread.chunk_of(deviation))
+        return Rows(sample, deviation, *self._spread.chunk_of(deviation, self._rest))
 
 
 def bytes_of(problem: ToleranceProblem) -> int:

@@ -28,29 +28,29 @@ def chunk_size(each: Callable[[], int]) -> int:
 
 
 class Spread:
-    """`function` of one row (n,), mapped over at most `chunk` rows at a time: every call has the same shape, what is missing
-    is filled up with the first row."""
+    """`function` of one row (n,) and of what all rows are given, mapped over at most `chunk` rows at a time: every call has
+    the same shape, what is missing is filled up with the first row."""
 
-    def __init__(self, function: Callable[[Array], Any], chunk: int) -> None:
+    def __init__(self, function: Callable[[Array, Any], Any], chunk: int) -> None:
         devices = np.array(tuning.safe_devices(jax.local_devices()))
         # A chunk is spread evenly; one that is too small for all devices takes fewer.
         devices = devices[: max(n for n in range(1, len(devices) + 1) if chunk % n == 0)]
         self.chunk = chunk
         self._place = NamedSharding(Mesh(devices, ("samples",)), PartitionSpec("samples"))
-        many = jax.vmap(function)
+        many = jax.vmap(function, in_axes=(0, None))
         if len(devices) > 1:
-            spec = PartitionSpec("samples")
-            many = jax.shard_map(many, mesh=self._place.mesh, in_specs=spec, out_specs=spec, check_vma=False)
+            spec, to_all = PartitionSpec("samples"), PartitionSpec()
+            many = jax.shard_map(many, mesh=self._place.mesh, in_specs=(spec, to_all), out_specs=spec, check_vma=False)
         self._run = jax.jit(many)
 
-    def chunk_of(self, rows: np.ndarray) -> Any:
+    def chunk_of(self, rows: np.ndarray, given: Any = None) -> Any:
         """Results of at most `chunk` rows (m, n), each (m, ...)."""
         count = len(rows)
         filled = np.concatenate([rows, np.repeat(rows[:1], self.chunk - count, axis=0)])
-        found = jax.device_get(self._run(jax.device_put(jnp.asarray(filled), self._place)))
+        found = jax.device_get(self._run(jax.device_put(jnp.asarray(filled), self._place), given))
         return jax.tree.map(lambda v: v[:count], found)
 
-    def all_of(self, rows: np.ndarray) -> Any:
+    def all_of(self, rows: np.ndarray, given: Any = None) -> Any:
         """Results of any number of rows (m, n), m > 0."""
-        parts = [self.chunk_of(rows[k : k + self.chunk]) for k in range(0, len(rows), self.chunk)]
+        parts = [self.chunk_of(rows[k : k + self.chunk], given) for k in range(0, len(rows), self.chunk)]
         return jax.tree.map(lambda *v: np.concatenate(v), *parts)
