@@ -44,3 +44,10 @@ def _forget_compiled_programs():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_text().splitlines()) > MOST_MAPS:
         jax.clear_caches()
+
+
+@pytest.fixture
+def as_users_have_it():
+    """JAX's own settings, for tests of searches: optimisers of optax mix integer counts with floats."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield

@@ -1,6 +1,5 @@
 """Robust design: the search sees machines that scatter, and follows the mean, the tail or the worst of them."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,12 +9,7 @@ import optimize
 from optimize.evaluate import Evaluator
 from optimize.problem import Seen, Settings, _over_samples, make_problem
 
-
-@pytest.fixture(autouse=True)
-def _as_users_have_it():
-    """Optimisers of optax mix integer counts with floats."""
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        yield
+pytestmark = pytest.mark.usefixtures("as_users_have_it")
 
 
 STUDY = {

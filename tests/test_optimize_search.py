@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,12 +16,7 @@ from optimize.journal import Journal, JournalError, read_history
 from optimize.problem import Settings, make_problem, over_media
 from optimize.study_file import make_study
 
-
-@pytest.fixture(autouse=True)
-def _as_users_have_it():
-    """Optimisers of optax mix integer counts with floats."""
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        yield
+pytestmark = pytest.mark.usefixtures("as_users_have_it")
 
 
 TABLE = {

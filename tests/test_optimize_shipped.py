@@ -8,7 +8,7 @@ from optimize.design_run import design
 from optimize.problem import make_problem
 from optimize.study_file import load_study
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("as_users_have_it")]
 
 
 def problem_of(name, **search):
