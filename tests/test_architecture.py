@@ -53,7 +53,7 @@ RANKS = """
     session
     bench bench.settings bench.timing bench.machine bench.outcome
     bench.jaxprs bench.pareto bench.records
-    bench.front bench.transport bench.batch bench.point
+    bench.front bench.transport bench.batch bench.gradient bench.point
     bench.growth bench.features
     bench.stability_scene bench.stability bench.stability_chart
     bench.report bench.charts bench.files bench.advise

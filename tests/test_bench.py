@@ -19,6 +19,7 @@ from diffeed.bench import (
     batch,
     features,
     files,
+    gradient,
     growth,
     jaxprs,
     pareto,
@@ -33,6 +34,7 @@ from diffeed.bench import front as fronts
 from diffeed.bench.outcome import Outcome, differences
 from diffeed.bench.settings import Setting
 from diffeed.paths import assign
+from diffeed.records import replace
 
 ROOT = Path(__file__).parent.parent
 TINY = """
@@ -356,6 +358,9 @@ def test_pictures_of_every_kind_are_written(swept, tmp_path):
         "empty": lambda: charts.front(dataclasses.replace(swept, rows=[row_of(None, None, status="failed")])),
         "growth": lambda: charts.growth(rows),
         "features": lambda: charts.features([{"without": "", "equations": 9}, {"without": "x", "equations": 5}]),
+        "gradient": lambda: charts.gradient(
+            [{"what": "run", "trace_seconds": 1.0, "compile_seconds": 2.0, "run_seconds": 0.1}]
+        ),
         "batch": lambda: charts.batch([{"precision": "float64", "samples": 1, "samples_per_second": 2.0}], "cpu"),
     }
     for name, draw in made.items():
@@ -451,6 +456,20 @@ def test_batches_hold_samples_that_differ(tiny):
     assert [(r["precision"], r["samples"], r["failed"]) for r in rows] == [("float64", 2, 0), ("float32", 2, 0)]
 
 
+@pytest.mark.slow
+def test_a_gradient_costs_more_than_its_run(tiny):
+    rows = gradient.gradient(tiny, duration=4e-3, dt=1e-3, fewest=1)
+    assert [r["what"] for r in rows] == [gradient.RUN, gradient.FORWARD, gradient.REVERSE]
+    assert [r["numbers"] > 1 for r in rows] == [False, False, True]
+    assert [r["reason"] for r in rows] == [None] * 3
+    assert rows[0]["runs"] == 1.0
+    assert all(r["trace_seconds"] > 0 and r["compile_seconds"] > 0 and r["temporary_mb"] > 0 for r in rows)
+    broken = replace(
+        tiny, sheets={k: replace(s, lead=(0.0, 50.0)) for k, s in tiny.sheets.items()}, gravity=(0.0, -1e9)
+    )
+    assert "the run fails" in gradient.gradient(broken, duration=4e-3, dt=1e-3, fewest=1)[0]["reason"]
+
+
 # --- the command line -------------------------------------------------------------------------------------------------
 
 
@@ -505,7 +524,7 @@ def test_help_needs_nothing_heavy():
 import sys
 import diffeed.cli
 from click.testing import CliRunner
-for words in (["advise"], ["bench"], *(["bench", n] for n in ("front", "growth", "features", "batch", "stability"))):
+for words in (["advise"], ["bench"], *(["bench", n] for n in ("front", "growth", "features", "batch", "gradient", "stability"))):
     done = CliRunner().invoke(diffeed.cli.main, [*words, "--help"])
     assert done.exit_code == 0, done.output
 heavy = {"jax", "numpy", "matplotlib", "rich"} & set(sys.modules)

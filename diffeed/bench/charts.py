@@ -188,6 +188,31 @@ def batch(rows: list[dict[str, Any]], device: str) -> "Axes":
     return _curves(panels)
 
 
+def gradient(rows: list[dict[str, Any]]) -> "Axes":
+    """Time of the run and of its gradients, and what compiling them took."""
+    from matplotlib import pyplot
+
+    size = (plot_style.WIDTH, 2.4)
+    _, (left, right) = pyplot.subplots(1, 2, figsize=size, dpi=150, layout="constrained", sharey=True)
+    names = [r["what"].replace(", ", ",\n") for r in rows]
+    left.barh(names, [r["run_seconds"] for r in rows], color=plot_style.line(0)["color"], height=0.6)
+    traced = [r["trace_seconds"] for r in rows]
+    right.barh(names, traced, color=plot_style.line(1)["color"], height=0.6, label="tracing")
+    right.barh(
+        names,
+        [r["compile_seconds"] for r in rows],
+        left=traced,
+        color=plot_style.line(2)["color"],
+        height=0.6,
+        label="compiling",
+    )
+    left.invert_yaxis()
+    plot_style.label(left, "Time of one call (s)", "")
+    plot_style.label(right, "Before the first call (s)", "")
+    right.legend(frameon=False, fontsize=plot_style.SMALL)
+    return left
+
+
 Panel = tuple[str, str, str, dict[str, list[dict[str, Any]]]]
 """Vertical label, horizontal label, key of the value, rows by series."""
 

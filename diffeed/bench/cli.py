@@ -53,6 +53,7 @@ class SceneGroup(click.Group):
     epilog="""\b
 Examples:
   diffeed bench film_feeder --out costs
+  diffeed bench gradient --out costs
   diffeed bench growth --out costs
   diffeed bench stability --out costs
   diffeed bench front --help
@@ -172,6 +173,38 @@ def batch(out: Path | None, force: bool, **options: Any) -> None:
         )  # fmt: skip
 
 
+@bench.command(
+    context_settings=SETTINGS,
+    short_help="What a gradient costs beside its run.",
+    epilog="""\b
+Examples:
+  diffeed bench gradient
+  diffeed bench gradient my_machine.toml --duration 0.5 --dt 2e-4 --out costs
+""",
+)
+@click.argument("scene", default="film_feeder")
+@DURATION
+@click.option("--dt", type=click.FloatRange(0, min_open=True), default=1e-4, show_default=True, help="Time step, s.")
+@OUT
+@SET
+@FORCE
+def gradient(out: Path | None, force: bool, **options: Any) -> None:
+    """Time, compilation and memory of a run of SCENE (film_feeder), of its derivative by one number in forward mode, and of
+    its gradient by every number in reverse mode."""
+    from diffeed.bench.files import names_of, write_rows
+    from diffeed.bench.report import print_gradient
+
+    with stoppable(), _draft(out, names_of("gradient"), force) as draft:
+        rows, machine = _measured(lambda show: _gradient(show, **options))
+        from diffeed.bench import charts
+
+        print_gradient(console(), rows)
+        data = {"scene": options["scene"], "machine": machine, "rows": rows}
+        _publish(
+            out, draft, lambda draft, folder: write_rows(draft, folder, "gradient", data, lambda: charts.gradient(rows))
+        )
+
+
 @bench.command(context_settings=SETTINGS, short_help="Where each stepper is right, inaccurate or wrong.")
 @OUT
 @QUICK
@@ -198,6 +231,15 @@ def _stability(quick: bool, show: Any) -> list[dict[str, Any]]:
     from diffeed.bench.stability import stability
 
     return stability(quick, show)
+
+
+def _gradient(
+    show: Any, scene: str, duration: float | None, dt: float, assignments: tuple[str, ...]
+) -> list[dict[str, Any]]:
+    from diffeed.bench.gradient import gradient
+
+    changes = {} if duration is None else {"duration": duration}
+    return gradient(load_sound(scene, assignments, changes, dt, None), duration, dt, show=show)
 
 
 def _measured(

@@ -186,6 +186,22 @@ def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> N
             console.print(f"{row['samples']} samples, {row['precision']}: {row['failed']} runs failed")
 
 
+def print_gradient(console: "Console", rows: list[dict[str, Any]]) -> None:
+    """The run and its gradients."""
+    headings = {
+        "numbers": "numbers",
+        "trace_seconds": "trace\ns",
+        "compile_seconds": "compile\ns",
+        "run_seconds": "run\ns",
+        "runs": "in\nruns",
+        "temporary_mb": "memory\nMB",
+    }
+    _print_rows(console, "The run, and the gradient of where the lead edge ends", "what", headings, rows)
+    for row in rows:
+        if row.get("reason"):
+            console.print(f"{row['what']}: {row['reason']}")
+
+
 def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
     """How many runs of each stepper became what; then those that are wrong without a word, and what `check` let pass."""
     titles = {**dict.fromkeys(CLASSES), "wrong": f"wrong\n>{WRONG:g} mm", "failed": "failed,\nsaid so"}

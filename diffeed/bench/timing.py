@@ -19,19 +19,24 @@ class Timed(NamedTuple):
     run: float  # median
     repeats: int
     value: Any
+    trace: float
+    temporary: int | None  # bytes that it works in; None: the device does not tell
 
 
 def timed(function: Callable[..., Any], *arguments: Any, fewest: int = 3) -> Timed:
     """Compile a function for its arguments, then run it `fewest` times or more: many times if it is short."""
     begun = time.perf_counter()
-    compiled = jax.jit(function).lower(*arguments).compile()
+    lowered = jax.jit(function).lower(*arguments)
+    trace_seconds = time.perf_counter() - begun
+    compiled = lowered.compile()
     compile_seconds = time.perf_counter() - begun
     value, seconds = None, []
     while len(seconds) < fewest or (fewest > 1 and len(seconds) < MOST and sum(seconds) < ENOUGH):
         begun = time.perf_counter()
         value = jax.block_until_ready(compiled(*arguments))
         seconds.append(time.perf_counter() - begun)
-    return Timed(compile_seconds, statistics.median(seconds), len(seconds), value)
+    temporary = getattr(compiled.memory_analysis(), "temp_size_in_bytes", None)
+    return Timed(compile_seconds, statistics.median(seconds), len(seconds), value, trace_seconds, temporary)
 
 
 @contextmanager
