@@ -1,5 +1,6 @@
 """Every test runs in float64, without silent rank or dtype promotion; a test that needs float32 says so itself."""
 
+import gc
 from pathlib import Path
 
 import jax
@@ -44,6 +45,7 @@ def _forget_compiled_programs():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_text().splitlines()) > MOST_MAPS:
         jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

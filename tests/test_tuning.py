@@ -1,5 +1,6 @@
 """Compiler settings of the command line: set where nothing else was asked for, and only where they are known."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -33,6 +34,17 @@ def test_what_the_user_set_stays(flags):
     assert flags(tuning.fuse_outputs, given) == [
         given, "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("before", "after"), [(700, tuning.GARBAGE), (10**6, 10**6), (0, 0)])
+def test_python_looks_for_garbage_less_often_unless_told_otherwise(flags, before, after):
+    kept = gc.get_threshold()
+    try:
+        gc.set_threshold(before, 7, 9)
+        flags(tuning.compile_quickly, "")
+        assert gc.get_threshold() == (after, 7, 9)
+    finally:
+        gc.set_threshold(*kept)
 
 
 @pytest.mark.parametrize(("version", "count"), [("0.10.2", 1), ("0.11.2", 0), ("0.12.0.1", 1), ("0.13.0", 0)])
