@@ -188,7 +188,9 @@ def settle_model(model: Model, start: State, near: State | None = None) -> tuple
     """Rest state of what is let go at `start`, and whether it was found. The search begins at `near`, or at `start`."""
     guess = None if near is None else lax.stop_gradient(positions(model, near))
     start = replace(start, grip=None)
-    freed = Freed(at_rest(model), start, generalised_inertia(model, start), guess)
+    # It scales steps, and anchors what nothing else holds: no part of the answer.
+    inertia = generalised_inertia(*lax.stop_gradient((model, start)))
+    freed = Freed(at_rest(model), start, inertia, guess)
     rest, converged = _balance(freed)
     found = with_positions(model, start, rest.q, jnp.zeros_like(rest.q))
     return replace(found, grip=_grip_at_rest(freed, rest)), converged > 0
