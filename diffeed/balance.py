@@ -9,7 +9,7 @@ the ends of steps, which errs where a step is long for its contact; hence the wi
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from diffeed.contact import Pairs
 from diffeed.energy import sheet_energies
@@ -52,7 +52,6 @@ def is_kept(model: Model) -> bool:
 
 def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts, h: Array) -> tuple[Book, Array]:
     """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
-    model, state, at, touching = lax.stop_gradient((model, state, at, touching))
     moving, bending, height = sheet_energies(model, state, at)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
     power = power + _loads(model, at)

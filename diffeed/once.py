@@ -1,7 +1,7 @@
 """Derivatives that are computed once and read many times, where the compiler would compute them again for each reader.
 
 Up to JAX 0.10, XLA on the processor merges cheap operations into each of their readers. In the reverse of a contact dozens of
-sums read the same products, and each gets them all: code that is larger by half, slow to compile and to run. A division stops
+sums read the same products, and each gets them all: code that is larger by 40 %, slow to compile and to run. A division stops
 that, since it counts as dear; so the derivative is divided by a one of which the compiler cannot know that it is one.
 (`lax.optimization_barrier` does not serve: it is gone before operations are merged.)
 """

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from diffeed import balance, faults, stick
 from diffeed.balance import Book
@@ -71,7 +71,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
 @jax.custom_jvp
 def _all_with_tangents(state: State) -> State:
     """The same state. Where it is differentiated all of it has tangents but the time, also speeds that start as zero: a scan
-    whose carry gets more of them on the way is traced once more, which is a fifth of a gradient's tracing."""
+    whose carry gets more of them on the way is traced once more."""
     return state
 
 
@@ -94,9 +94,11 @@ def taken(
 ) -> Progress:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
     before = carry.state
-    (cause, leap), book = faults.of_step(model, before, after, touching, kept, h), carry.book
+    # Judging has no derivative: nothing of it is carried on by one.
+    judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
+    (cause, leap), book = faults.of_step(judged, then, now, met, near, h), carry.book
     if balance.is_kept(model):
-        book, gained = balance.entered(model, book, before, pose(model, before), touching, h)
+        book, gained = balance.entered(judged, book, then, pose(judged, then), met, h)
         cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
     fine = (carry.cause == 0) & (cause == 0)
     opened = carry.open

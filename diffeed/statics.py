@@ -210,7 +210,7 @@ class _Found(NamedTuple):
 
     rest: Rest
     found: Array
-    slope: Array | None
+    slope: Array
 
 
 def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
@@ -238,7 +238,7 @@ def _imbalance(freed: Freed, rest: Rest) -> Rest:
 @jax.custom_jvp
 def _balance(freed: Freed) -> tuple[Rest, Array]:
     """Where the imbalance vanishes, and 1.0 if it was found, else 0.0."""
-    found = _search_rest(freed, with_slope=False)
+    found = _search_rest(freed)
     return found.rest, found.found
 
 
@@ -255,12 +255,13 @@ def _balance_moves(primals: tuple[Freed], tangents: tuple[Freed]) -> tuple[Any, 
 
 @jax.custom_jvp
 def _balance_and_slope(freed: Freed) -> _Found:
-    return _search_rest(freed, with_slope=True)
+    """The same and its slope, by a rule of its own: what derivatives of derivatives need is not traced for the first."""
+    return _search_rest(freed)
 
 
 @_balance_and_slope.defjvp
 def _balance_and_slope_move(primals: tuple[Freed], tangents: tuple[Freed]) -> tuple[Any, Any]:
-    """Likewise, for derivatives of derivatives: how the slope changes, too."""
+    """Likewise, and how the slope changes."""
     (freed,), (freed_dot,) = primals, tangents
     found = _balance_and_slope(freed)
     move = _move(found, freed, freed_dot)
@@ -279,13 +280,12 @@ def _move(found: _Found, freed: Freed, freed_dot: Freed) -> Rest:
     return Rest(move[:n], move[n:])
 
 
-def _search_rest(freed: Freed, with_slope: bool) -> _Found:
+def _search_rest(freed: Freed) -> _Found:
     """Where the imbalance vanishes. The slope comes from the loop, which has it anyway: outside, it would be compiled again."""
     still, start, inertia, near = freed
     q0, span2 = (positions(still, start), COLD) if near is None else (near, WARM)
     guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
-    limit = _step_limit(still, start)
-    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, limit, span2, with_slope)
+    return _relax(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start), span2)
 
 
 def generalised_inertia(model: Model, state: State) -> Array:
@@ -325,11 +325,11 @@ class _Search(NamedTuple):
     span2: Array
     before: Array
     done: Array
-    slope: Array | None  # of the imbalance, if wanted
+    slope: Array  # of the imbalance
     sloped: Array  # whether that is the one at the rest found, which takes one more look
 
 
-def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float, with_slope: bool) -> _Found:
+def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float) -> _Found:
     """Pseudo-transient continuation: implicit steps from rest whose length grows as the imbalance falls (switched
     evolution relaxation), ending in Newton's method."""
     dtype = guess.q.dtype
@@ -342,7 +342,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         return jnp.max(jnp.abs(gap.q) / inertia) * 1e-6 + jnp.sum(jnp.abs(gap.reaction))
 
     def carry_on(carry: _Search) -> Array:
-        return (carry.tries < ITERATIONS) & ~(carry.sloped if with_slope else carry.done)
+        return (carry.tries < ITERATIONS) & ~carry.sloped
 
     def improve(carry: _Search) -> _Search:
         rest, span2 = carry.rest, carry.span2
@@ -364,8 +364,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         before = jnp.where(good, now, carry.before)
         trial = jax.tree.map(lambda a, b: jnp.where(carry.done, a, b), rest, trial)
         done = carry.done | (good & whole & close & (span2 > 1e2))
-        slope = _dense(jacobian) if with_slope else None
-        return _Search(carry.tries + 1, trial, best, next_span2, before, done, slope, carry.done)
+        return _Search(carry.tries + 1, trial, best, next_span2, before, done, _dense(jacobian), carry.done)
 
     unknowns = guess.q.shape[0] + guess.reaction.shape[0]
     start = _Search(
@@ -375,7 +374,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         jnp.full((), first, dtype),
         jnp.full((), jnp.inf, dtype),
         jnp.zeros((), bool),
-        jnp.zeros((unknowns, unknowns), dtype) if with_slope else None,
+        jnp.zeros((unknowns, unknowns), dtype),
         jnp.zeros((), bool),
     )
     last = lax.while_loop(carry_on, improve, start)

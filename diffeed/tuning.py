@@ -28,7 +28,7 @@ SURE: tuple[Version, ...] = ((0, 12),)
 
 GARBAGE = 20_000
 """Objects that Python makes before it looks for garbage. Tracing makes many, and all of them live: looking after every 700, as
-Python does unasked, takes a fifth to a third of its time."""
+Python does unasked, finds nothing and takes a good part of its time."""
 
 
 def compile_quickly() -> None:

@@ -126,14 +126,17 @@ SPANS = {
 @pytest.mark.slow
 def test_gradients_at_four_times():
     """Both modes agree, differences agree down to 1e-5 or to a hundredth of a nanometre over the designer's step. Not every
-    exact gradient is useful: after the film has met the arc, that by a radius no longer predicts the step."""
+    exact gradient is useful: after the film has met the arc, that by a radius no longer predicts the step. Such a path bends so
+    quickly with the number, and magnifies rounding so much, that no difference is better than some 1e-4 (1.9e-4 by the radius
+    of the arc at 1 s): there it must agree to 1e-3."""
     found = diffeed.gradient_check(
         diffeed.load_scene("film_feeder"), list(SPANS), spans=SPANS, times=(0.1, 0.4, 0.7, 1.0), frames=101, samples=24
     )
     assert len(found.rows) == 40
     for row in found.rows:
         assert row.forward == pytest.approx(row.reverse, rel=1e-9, abs=1e-12 / row.span), row
-        assert row.forward == pytest.approx(row.difference, rel=1e-5, abs=1e-8 / row.span), row
+        close = 1e-3 if row.verdict == "useless" else 1e-5
+        assert row.forward == pytest.approx(row.difference, rel=close, abs=1e-8 / row.span), row
     verdicts = {(row.name, row.time): row.verdict for row in found.rows}
     assert verdicts["rollers.drive_1.radius", 0.1] == "useful"
     assert verdicts["rollers.drive_1.radius", 0.4] == "useful"

@@ -293,9 +293,9 @@ def test_a_latitude_tells_what_passes_and_by_what_margin(monkeypatch):
     assert found.labels[0] == "sheets.strip.thickness, mm"
     # The machine before and after a change: one program for both.
     monkeypatch.setattr(latitude_of, "run_of", None)
-    softer = diffeed.put(study.scene, "rollers.pinch.preload", 1.0)
-    other = latitude(study, softer)
-    run = diffeed.simulate(diffeed.put(scene, "rollers.pinch.preload", 1.0), 0.01, 5e-4, 5, observe=("feed", "spans"))
+    other = latitude(study, diffeed.put(study.scene, "rollers.pinch.preload", 1.0))
+    softer = diffeed.put(scene, "rollers.pinch.preload", 1.0)
+    run = diffeed.simulate(softer, 0.01, 5e-4, 5, observe=("feed", "spans"))
     assert other.margin[2, 2] == pytest.approx(float(measures.jam_margin(softer, run)), rel=1e-6)
     assert abs(other.margin[2, 2] - found.margin[2, 2]) > 1e-6
 

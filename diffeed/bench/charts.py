@@ -188,31 +188,6 @@ def batch(rows: list[dict[str, Any]], device: str) -> "Axes":
     return _curves(panels)
 
 
-def gradient(rows: list[dict[str, Any]]) -> "Axes":
-    """Time of the run and of its gradients, and what compiling them took."""
-    from matplotlib import pyplot
-
-    size = (plot_style.WIDTH, 2.4)
-    _, (left, right) = pyplot.subplots(1, 2, figsize=size, dpi=150, layout="constrained", sharey=True)
-    names = [r["what"].replace(", ", ",\n") for r in rows]
-    left.barh(names, [r["run_seconds"] for r in rows], color=plot_style.line(0)["color"], height=0.6)
-    traced = [r["trace_seconds"] for r in rows]
-    right.barh(names, traced, color=plot_style.line(1)["color"], height=0.6, label="tracing")
-    right.barh(
-        names,
-        [r["compile_seconds"] for r in rows],
-        left=traced,
-        color=plot_style.line(2)["color"],
-        height=0.6,
-        label="compiling",
-    )
-    left.invert_yaxis()
-    plot_style.label(left, "Time of one call (s)", "")
-    plot_style.label(right, "Before the first call (s)", "")
-    right.legend(frameon=False, fontsize=plot_style.SMALL)
-    return left
-
-
 Panel = tuple[str, str, str, dict[str, list[dict[str, Any]]]]
 """Vertical label, horizontal label, key of the value, rows by series."""
 
@@ -256,11 +231,22 @@ def _at_least_a_decade(ax: "Axes") -> None:
 
 def features(rows: list[dict[str, Any]]) -> "Axes":
     """Equations, compile time and time per step of the full scene (dark) and without each feature."""
+    keys = {"equations": "Equations", "compile_seconds": "Compile time (s)", "us_per_step": "Time per step (us)"}
+    return _beside_the_first(rows, ["everything", *(f"without {r['without']}" for r in rows[1:])], keys)
+
+
+def gradient(rows: list[dict[str, Any]]) -> "Axes":
+    """Time, tracing and compilation of the run (dark) and of its gradients."""
+    keys = {"run_seconds": "Time of one call (s)", "trace_seconds": "Tracing (s)", "compile_seconds": "Compiling (s)"}
+    return _beside_the_first(rows, [r["what"].replace(", ", ",\n") for r in rows], keys)
+
+
+def _beside_the_first(rows: list[dict[str, Any]], names: list[str], keys: dict[str, str]) -> "Axes":
+    """A panel of bars for each key that is known; the first row is what the others are held against."""
     from matplotlib import pyplot
 
-    keys = {"equations": "Equations", "compile_seconds": "Compile time (s)", "us_per_step": "Time per step (us)"}
     keys = {key: title for key, title in keys.items() if any(r.get(key) for r in rows)}
-    size = (plot_style.WIDTH, 0.9 + 0.2 * len(rows))
+    size = (plot_style.WIDTH, 0.9 + 0.2 * sum(name.count("\n") + 1 for name in names))
     _, grid = pyplot.subplots(1, len(keys), figsize=size, dpi=150, layout="constrained", sharey=True, squeeze=False)
     made = grid[0]
     places = np.arange(len(rows))
@@ -272,6 +258,6 @@ def features(rows: list[dict[str, Any]]) -> "Axes":
         plot_style.label(ax, title, "")
         ax.grid(visible=False, axis="y")
         ax.tick_params(axis="y", length=0)
-    made[0].set_yticks(places, ["everything", *(f"without {r['without']}" for r in rows[1:])])
+    made[0].set_yticks(places, names)
     made[0].set_ylim(len(rows) - 0.4, -0.6)
     return made[0]

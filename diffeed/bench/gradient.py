@@ -9,10 +9,10 @@ import numpy as np
 from jax import Array
 
 from diffeed.bench.timing import timed
-from diffeed.gradients import gradient_plan
+from diffeed.gradients import gradient_plan, value_and_gradient
 from diffeed.parts import Scene, normalise
-from diffeed.paths import get, put
 from diffeed.rollout import simulate
+from diffeed.trajectory import Trajectory
 
 RUN, FORWARD, REVERSE = "run", "by one number, forward", "by every number, reverse"
 FRAMES = 2
@@ -33,47 +33,44 @@ def gradient(
     """
     scene = normalise(scene)
     name = next(iter(scene.sheets))
-    path = f"sheets.{name}.youngs_modulus"
+    every = sum(int(np.size(v)) for v in jax.tree.leaves(scene))
 
-    def lead(scene: Scene) -> tuple[Array, Array]:
-        run = simulate(scene, duration, dt, FRAMES)
-        return jnp.sum(run.sheets[name].nodes[-1, 0]), run.ok
+    def lead(scene: Scene, run: Trajectory) -> Array:
+        """NaN in a run that fails."""
+        return jnp.where(run.ok, jnp.sum(run.sheets[name].nodes[-1, 0]), jnp.nan)
 
-    def forward(scene: Scene) -> tuple[Any, Any]:
-        modulus = jnp.asarray(get(scene, path))
-        value, slope, ok = jax.jvp(
-            lambda e: lead(put(scene, path, e)), (modulus,), (jnp.ones_like(modulus),), has_aux=True
-        )
-        return (value, ok), slope
+    def gradient(paths: tuple[str, ...] | None, mode: str) -> Callable[[Scene], Any]:
+        return lambda scene: value_and_gradient(lead, scene, paths, mode, duration, dt, FRAMES)
 
     programs = {
-        RUN: lambda scene: (lead(scene), jnp.zeros(())),
-        FORWARD: forward,
-        REVERSE: lambda scene: jax.value_and_grad(lead, has_aux=True)(scene),
+        RUN: (lambda scene: (lead(scene, simulate(scene, duration, dt, FRAMES)), None), None),
+        FORWARD: (
+            gradient((f"sheets.{name}.youngs_modulus",), "forward"),
+            gradient_plan(scene, 1, duration, dt, FRAMES, "forward"),
+        ),
+        REVERSE: (gradient(None, "reverse"), gradient_plan(scene, every, duration, dt, FRAMES, "reverse")),
     }
-    numbers = {RUN: 0, FORWARD: 1, REVERSE: sum(int(np.size(v)) for v in jax.tree.leaves(scene))}
     rows = []
-    for what, program in programs.items():
+    for what, (program, planned) in programs.items():
         show(len(rows), len(programs), what)
         made = timed(program, scene, fewest=fewest)
-        (_, ok), slopes = made.value
-        row = {
-            "what": what,
-            "numbers": numbers[what],
-            "trace_seconds": made.trace,
-            "compile_seconds": made.compile - made.trace,
-            "run_seconds": made.run,
-            "runs": made.run / (rows[0]["run_seconds"] if rows else made.run),
-            "temporary_mb": None if made.temporary is None else made.temporary / 1e6,
-            "planned_mb": None,
-            "reason": None,
-        }
-        if numbers[what]:
-            mode = "forward" if what == FORWARD else "reverse"
-            row["planned_mb"] = gradient_plan(scene, numbers[what], duration, dt, FRAMES, mode).memory / 1e6
-        if not bool(ok):
-            row["reason"] = "the run fails: diffeed run tells where and why"
+        value, slopes = made.value
+        reason = None
+        if not np.isfinite(value):
+            reason = "the run fails: diffeed run tells where and why"
         elif not all(np.all(np.isfinite(v)) for v in jax.tree.leaves(slopes)):
-            row["reason"] = "not finite: diffeed.explain_gradient names the first step, pair and term"
-        rows.append(row)
+            reason = "not finite: diffeed.explain_gradient names the first step, pair and term"
+        rows.append(
+            {
+                "what": what,
+                "numbers": planned.numbers if planned else 0,
+                "trace_seconds": made.trace,
+                "compile_seconds": made.compile - made.trace,
+                "run_seconds": made.run,
+                "runs": made.run / (rows[0]["run_seconds"] if rows else made.run),
+                "temporary_mb": None if made.temporary is None else made.temporary / 1e6,
+                "planned_mb": planned.memory / 1e6 if planned else None,
+                "reason": reason,
+            }
+        )
     return rows

@@ -195,6 +195,7 @@ def print_gradient(console: "Console", rows: list[dict[str, Any]]) -> None:
         "run_seconds": "run\ns",
         "runs": "in\nruns",
         "temporary_mb": "memory\nMB",
+        "planned_mb": "planned\nMB",
     }
     _print_rows(console, "The run, and the gradient of where the lead edge ends", "what", headings, rows)
     for row in rows:
