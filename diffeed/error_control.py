@@ -18,7 +18,7 @@ from diffeed.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.kinematics import node_velocities, nodes, pose
 from diffeed.model import Model
 from diffeed.parts import Scene
-from diffeed.progress import Progress, entering, searched, taken
+from diffeed.progress import Progress, entering, recomputed, searched, taken
 from diffeed.records import replace
 from diffeed.state import State
 from diffeed.steppers import ESTIMATING
@@ -229,7 +229,7 @@ def _replay(
             span = jnp.sum(lengths)
             candidates, _ = for_as_long_as_they_last(search(model, carry.state, span), span)
 
-            @functools.partial(jax.checkpoint, prevent_cse=False)
+            @recomputed
             def one_step(carry: Progress, h: Array) -> tuple[Progress, None]:
                 def go(carry: Progress) -> Progress:
                     after, touching = stepper(model, carry.state, h, candidates.kept)

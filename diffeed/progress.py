@@ -1,10 +1,12 @@
 """A run under way: where it starts, one step with its checks and observers, and what is carried from step to step."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.ad_checkpoint import checkpoint_name
 
 from diffeed import balance, faults, stick
 from diffeed.balance import Book
@@ -25,6 +27,9 @@ from diffeed.trajectory import Resume
 
 FIRST = 1e-6
 """s: the first attempt of error-controlled steps; a start is often an impact."""
+
+VERDICT = "verdict"
+Step = Callable[[Any, Array], Any]
 
 
 class Progress(NamedTuple):
@@ -100,7 +105,7 @@ def taken(
     if balance.is_kept(model):
         book, gained = balance.entered(judged, book, then, pose(judged, then), met, h)
         cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
-    fine = (carry.cause == 0) & (cause == 0)
+    fine = checkpoint_name((carry.cause == 0) & (cause == 0), VERDICT)
     opened = carry.open
     if observe:
         guides = any(OBSERVERS[name].guides for name in observe)
@@ -115,6 +120,11 @@ def taken(
         book=jax.tree.map(lambda a, b: jnp.where(fine, a, b), book, carry.book),
         error=carry.error + jnp.where(fine, leap, 0.0),
     )
+
+
+def recomputed(step: Step) -> Step:
+    """A step of a scan whose derivative keeps the state before and the verdict, computes the step again, and judges no more."""
+    return jax.checkpoint(step, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(VERDICT))
 
 
 def entering(carry: Progress, found: Candidates) -> Progress:

@@ -19,7 +19,7 @@ from diffeed.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
 from diffeed.parts import Scene, normalise, warn_if_single
-from diffeed.progress import Progress, begin, entering, searched, taken
+from diffeed.progress import Progress, begin, entering, recomputed, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import felt_by_bodies, look, part_names, snapshot
 from diffeed.state import State
@@ -145,17 +145,11 @@ def _simulate(
     h = jnp.asarray(dt, scene.gravity.dtype)
     first = begin(model, scene, initial, observe)
 
-    def one_frame(carry: Progress, frame: Array) -> tuple[Progress, State]:
-        begun = frame * (counts.blocks * counts.steps)
-        (carry, _), _ = lax.scan(one_block, (carry, begun), length=counts.blocks)
-        return carry, carry.state
-
-    def one_block(given: tuple[Progress, Array], _: None) -> tuple[tuple[Progress, Array], None]:
-        carry, start = given  # the count goes along: as an input of the scan it would be stored for every block
+    def one_block(carry: Progress, start: Array) -> Progress:
         with jax.named_scope("search"):
             found = search(model, carry.state, counts.steps * h)
 
-        @functools.partial(jax.checkpoint, prevent_cse=False)  # in a scan nothing can be merged that must not be
+        @recomputed
         def one_step(carry: Progress, k: Array) -> tuple[Progress, None]:
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             after, touching = STEPPERS[method](model, carry.state, h, found.kept)
@@ -163,12 +157,21 @@ def _simulate(
             return taken(model, scene, carry, after, touching, h, found.kept, observe), None
 
         carry, _ = lax.scan(one_step, entering(carry, found), start + jnp.arange(counts.steps))
-        return (searched(model, found, carry), start + counts.steps), None
+        return searched(model, found, carry)
 
     if counts.total > MANY:
-        one_block = jax.checkpoint(one_block, prevent_cse=False)
-    last, states = lax.scan(one_frame, first, jnp.arange(counts.frames - 1))
-    return _trajectory(model, scene, first, last, states, h, jnp.asarray(counts.total), observe)
+        one_block = jax.checkpoint(one_block, prevent_cse=False)  # in a scan nothing is merged that must not be
+
+    def block_of_frame(given: tuple[Progress, State, Array], _: None) -> tuple[tuple[Progress, State, Array], None]:
+        carry, states, done = given  # the count goes along: as an input of the scan it would be stored for every block
+        carry = one_block(carry, done * counts.steps)
+        frame = 1 + done // counts.blocks  # its last block has the last word
+        return (carry, jax.tree.map(lambda all, one: all.at[frame].set(one), states, carry.state), done + 1), None
+
+    blocks = (counts.frames - 1) * counts.blocks
+    states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
+    (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.zeros((), jnp.int32)), length=blocks)
+    return _trajectory(model, scene, last, states, h, jnp.asarray(counts.total), observe)
 
 
 @functools.partial(jax.jit, static_argnames=("control",))
@@ -181,13 +184,13 @@ def _simulate_to(
     first = begin(model, scene, initial, control.observe)
     last, states, count = error_control.run(control, limits, model, scene, first)
     mean = control.frames * limits.frame / jnp.maximum(count, 1).astype(limits.frame.dtype)
-    return _trajectory(model, scene, first, last, states, mean, count, control.observe)
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
+    return _trajectory(model, scene, last, states, mean, count, control.observe)
 
 
 def _trajectory(
     model: Model,
     scene: Scene,
-    first: Progress,
     last: Progress,
     states: State,
     dt: Array,
@@ -195,7 +198,6 @@ def _trajectory(
     observe: tuple[str, ...],
 ) -> Trajectory:
     """Look at the frames."""
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
     part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
