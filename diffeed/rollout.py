@@ -170,7 +170,7 @@ def _simulate(
 
     blocks = (counts.frames - 1) * counts.blocks
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
-    (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.zeros((), jnp.int32)), length=blocks)
+    (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
     return _trajectory(model, scene, last, states, h, jnp.asarray(counts.total), observe)
 
 
