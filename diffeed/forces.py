@@ -316,6 +316,10 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     gn = -(kept.travel_x * nx + kept.travel_y * ny)
     gt = kept.travel_x * ny - kept.travel_y * nx
     gs = -kept.spin_lever
+    if not step.implicit:
+        push, twist = jnp.sum(by_circle(kept, jnp.stack([f_n * gn + f_t * gt, f_t * gs]), rollers.n), axis=2)
+        alone = jnp.zeros((model.n_border, model.n_border))
+        return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, jnp.concatenate([push[move], twist[free]])
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
     pairwise = []
     for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
@@ -359,6 +363,8 @@ def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Arr
         gn = gn + side * at_travel * along
         gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
     rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
+    if not step.implicit:
+        return jnp.zeros((m + f, m + f)), rows.T @ jnp.concatenate([f_n, f_t])
     weighed = jnp.concatenate([a_n, a_t])[:, None] * rows
     found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1)
     return found[:, :-1], found[:, -1]
