@@ -8,6 +8,7 @@ from stand_in_nip import nip
 
 import diffeed
 from diffeed import contact_law, gradient_trust
+from diffeed.bench.jaxprs import operations
 
 SETTLED = nip(initial="settled")
 """From a start that closes the nip by an impact, the gradient is exact and useless."""
@@ -31,6 +32,16 @@ def test_both_modes_agree_and_a_scene_of_derivatives_holds_the_same():
         assert float(diffeed.get(whole, path)) == pytest.approx(reverse, rel=1e-9)
     # The drive turns 0.8 rad in 0.03 s: that is what the lead gains per mm of radius, creep aside.
     assert float(kept["forward"][1][PATHS[0]]) == pytest.approx(0.8, rel=0.05)
+
+
+def test_a_step_that_is_computed_again_is_not_judged_again():
+    """Only a verdict asks whether speeds are finite."""
+
+    def run(scene):
+        return jnp.sum(diffeed.simulate(scene, dt=5e-4, frames=2).states.x)
+
+    forward, both = (list(operations(f, nip())).count("is_finite") for f in (run, jax.grad(run)))
+    assert both == forward == 1
 
 
 def test_the_mode_follows_the_counts():

@@ -8,11 +8,19 @@ import jax
 
 def count_equations(function: Callable[..., Any], *arguments: Any) -> int:
     """Equations of the program that JAX traces, those of all loops, branches and calls within it included."""
-    return _count(jax.make_jaxpr(function)(*arguments).jaxpr)
+    return sum(1 for _ in operations(function, *arguments))
 
 
-def _count(jaxpr: Any) -> int:
-    return sum(1 + sum(_count(inner) for inner in _inner(eqn.params.values())) for eqn in jaxpr.eqns)
+def operations(function: Callable[..., Any], *arguments: Any) -> Iterator[str]:
+    """Names of those equations' operations, one by one."""
+    yield from _operations(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _operations(jaxpr: Any) -> Iterator[str]:
+    for eqn in jaxpr.eqns:
+        yield eqn.primitive.name
+        for inner in _inner(eqn.params.values()):
+            yield from _operations(inner)
 
 
 def _inner(values: Any) -> Iterator[Any]:
