@@ -64,22 +64,21 @@ def merit(problem: Problem) -> Callable[[np.ndarray], float]:
 
 
 def cost_of_gradient(problem: Problem) -> float:
-    """Median time of a value with gradient over that of a value, both compiled, one point."""
+    """Time of a value with gradient over that of a value, both compiled, one point: the median of runs in turn."""
     none = np.zeros((1, len(problem.media), problem.sides))
     evaluator, plain = Evaluator(problem), merit(problem)
     unit = problem.start[None]
 
     def spent(function: Callable[[], Any]) -> float:
+        begun = time.perf_counter()
         function()
-        times = []
-        for _ in range(5):
-            begun = time.perf_counter()
-            function()
-            times.append(time.perf_counter() - begun)
-        return float(np.median(times))
+        return time.perf_counter() - begun
 
-    whole = spent(lambda: evaluator.gradients(unit, none, np.full(1, problem.study.search.penalty), Settings()))
-    return whole / spent(lambda: plain(problem.start))
+    def whole() -> Any:
+        return evaluator.gradients(unit, none, np.full(1, problem.study.search.penalty), Settings())
+
+    ratios = [spent(whole) / spent(lambda: plain(problem.start)) for _ in range(1 + 5)]
+    return float(np.median(ratios[1:]))  # the first of each compiles
 
 
 def compare(problem: Problem, budget: int, say: Callable[[str], None] = lambda text: None) -> Comparison:
