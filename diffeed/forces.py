@@ -316,7 +316,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     gn = -(kept.travel_x * nx + kept.travel_y * ny)
     gt = kept.travel_x * ny - kept.travel_y * nx
     gs = -kept.spin_lever
-    if not step.implicit:
+    if not step.implicit:  # no end of a step is felt: nothing is coupled
         push, twist = jnp.sum(by_circle(kept, jnp.stack([f_n * gn + f_t * gt, f_t * gs]), rollers.n), axis=2)
         alone = jnp.zeros((model.n_border, model.n_border))
         return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, jnp.concatenate([push[move], twist[free]])
