@@ -316,8 +316,9 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     gn = -(kept.travel_x * nx + kept.travel_y * ny)
     gt = kept.travel_x * ny - kept.travel_y * nx
     gs = -kept.spin_lever
+    own = [f_n * gn + f_t * gt, f_t * gs]
     if not step.implicit:  # no end of a step is felt: nothing is coupled
-        push, twist = jnp.sum(by_circle(kept, jnp.stack([f_n * gn + f_t * gt, f_t * gs]), rollers.n), axis=2)
+        push, twist = jnp.sum(by_circle(kept, jnp.stack(own), rollers.n), axis=2)
         alone = jnp.zeros((model.n_border, model.n_border))
         return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, jnp.concatenate([push[move], twist[free]])
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
@@ -328,7 +329,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
         coupled = [an * nx - at * ny, an * ny + at * nx, an * rn + at * rt, -asp * ny, asp * nx, asp * rt]
         pairwise += [shared(lever, v) for v in coupled]
     last = len(pairwise)
-    pairwise += [an * gn + at * gt, asp * gs, at * gs, f_n * gn + f_t * gt, f_t * gs]
+    pairwise += [an * gn + at * gt, asp * gs, at * gs, *own]
     felt_by = by_circle(kept, jnp.stack(pairwise), rollers.n)
     columns = to_bars(model, jnp.split(felt_by[:last], last // 6))
     columns = jnp.concatenate([columns[:3, move], columns[3:, free]], axis=1).swapaxes(0, 1)
