@@ -73,18 +73,11 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     )
 
 
-@jax.custom_jvp
 def _all_with_tangents(state: State) -> State:
     """The same state. Where it is differentiated all of it has tangents but the time, also speeds that start as zero: a scan
-    whose carry gets more of them on the way is traced once more."""
-    return state
-
-
-@_all_with_tangents.defjvp
-def _all_with_tangents_move(primals: tuple[State], tangents: tuple[State]) -> tuple[State, State]:
-    (moves,) = tangents
-    nothing = 0.0 * moves.x[0]  # a plain zero would be seen through
-    return primals[0], replace(jax.tree.map(lambda t: t + nothing, moves), time=moves.time)
+    whose carry gets more of them on the way is traced once more. And where it is in a batch, all of it is."""
+    nothing = 0.0 * state.x[0]  # a plain zero would be seen through
+    return replace(jax.tree.map(lambda v: v + nothing, state), time=state.time)
 
 
 def taken(
