@@ -11,7 +11,7 @@ from jax import Array
 
 from diffeed.model import Layout
 from diffeed.smooth import solve_positive
-from diffeed.sums import apply, before, membership, same_sheet
+from diffeed.sums import apply, before, membership
 from diffeed.system import Answer, System
 
 
@@ -21,17 +21,17 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     lx, ly = 2.0 * system.lever_x, 2.0 * system.lever_y
     bias_x, bias_y = _centres(layout, jnp.stack([system.bias_x, system.bias_y]))
     sides = sides.at[0].add(-_pull(system, bias_x, bias_y))
-    matrix = _matrix(system, layout, lx, ly)
+    below = None
     if system.border is None:
         gathered = _gather(layout, sides, lx, ly)
     else:
         columns = system.border.columns
         both = _gather(layout, jnp.concatenate([sides, columns]), lx, ly)
         gathered, coupling = both[:k], both[k:]
-        matrix = _joined(matrix, coupling, system.border.matrix)
+        below = jnp.concatenate([coupling, system.border.matrix], axis=1)
         bias = jnp.concatenate([bias_x, bias_y]) @ columns[:, :2].reshape(columns.shape[0], -1).T
         gathered = jnp.concatenate([gathered, border.at[0].add(-bias)], axis=1)
-    found = solve_positive(matrix, gathered.T).T
+    found = solve_positive(_lower(system, layout, lx, ly, below), gathered.T).T
     lead_x, lead_y, w, rest = jnp.split(found, (n_sheets, 2 * n_sheets, 2 * n_sheets + layout.n_bars), axis=1)
     turned = _centres(layout, jnp.concatenate([system.lever_x[None] * w, system.lever_y[None] * w]))
     x, y = turned[:k] + lead_x[:, layout.sheet_of_bar], turned[k:] + lead_y[:, layout.sheet_of_bar]
@@ -55,28 +55,40 @@ def _totals(layout: Layout, values: Array) -> tuple[Array, Array]:
     return both[:, : layout.n_bars], both[:, layout.n_bars :]
 
 
-def _matrix(system: System, layout: Layout, lx: Array, ly: Array) -> Array:
-    b, e, n = system.bars, system.coupling, layout.n_bars
-    (hxx, hxy, hyy), totals = _totals(layout, jnp.stack([b.xx, b.xy, b.yy]))
+def _lower(system: System, layout: Layout, lx: Array, ly: Array, below: Array | None) -> Array:
+    """Lower triangle of the matrix, whose last rows are `below`. A lead is a bar that all others of its sheet are behind.
+
+    Made by one product, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
+    entry of the matrix: so what the diagonal needs goes through a product too.
+    """
+    b, n_sheets, more = system.bars, len(layout.bars), 0 if below is None else below.shape[0]
+    (hxx, hxy, hyy), (txx, txy, tyy) = _totals(layout, jnp.stack([b.xx, b.xy, b.yy]))
     vx, vy = hxx * lx + hxy * ly + b.xw, hxy * lx + hyy * ly + b.yw
-    ahead = jnp.asarray(np.triu(np.ones((n, n)), 1) * same_sheet(layout), lx.dtype)
-    # A product, not broadcasts: the compiler would compute each factor again for every entry of the matrix.
-    upper = ahead * (jnp.stack([lx, ly]).T @ jnp.stack([vx, vy]))
+    one, zero = jnp.ones((n_sheets,), lx.dtype), jnp.zeros((n_sheets,), lx.dtype)
+    moved = jnp.stack([jnp.concatenate([one, zero, lx]), jnp.concatenate([zero, one, ly])])
+    asked = jnp.stack([jnp.concatenate([txx, txy, vx]), jnp.concatenate([txy, tyy, vy])])
+    beyond = ((0, 0), (0, more))
+    product = jnp.pad(moved, beyond).T @ jnp.pad(asked, beyond)
     # The bar itself: a quarter of its own block instead of the half that is behind.
     own = b.ww + lx * (vx - 0.25 * (b.xx * lx + b.xy * ly)) + ly * (vy - 0.25 * (b.xy * lx + b.yy * ly))
-    upper = upper - jnp.diag(e[:-1], 1)
-    turning = upper + upper.T + jnp.diag(own + e + jnp.roll(e, 1))
-    member = jnp.asarray(membership(layout).T, lx.dtype)
-    lead = jnp.concatenate([vx[None] * member, vy[None] * member])
-    xx, xy, yy = (jnp.diag(v) for v in totals)
-    return _joined(jnp.block([[xx, xy], [xy, yy]]), lead.T, turning)
+    behind, diagonal, joint = _tables(layout, more)
+    upper = jnp.asarray(behind.T, lx.dtype) * product
+    upper = upper + jnp.diag(apply(jnp.concatenate([own, system.coupling]), diagonal))
+    upper = upper - jnp.asarray(joint.T, lx.dtype) * jnp.pad(system.coupling, (2 * n_sheets, more))[:, None]
+    return upper.T if below is None else (upper + jnp.pad(below.T, ((0, 0), (upper.shape[0] - more, 0)))).T
 
 
-def _joined(first: Array, below: Array, last: Array) -> Array:
-    """[[first, below'], [below, last]]. Set block by block: in one concatenation each entry would ask which block it is in."""
-    n, m = first.shape[0], first.shape[0] + last.shape[0]
-    whole = jnp.zeros((m, m), first.dtype).at[:n, :n].set(first)
-    return whole.at[n:, :n].set(below).at[:n, n:].set(below.T).at[n:, n:].set(last)
+def _tables(layout: Layout, more: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which row is behind which column; where own terms and joints stand on the diagonal; which row is a joint behind which
+    column."""
+    n, leads = layout.n_bars, 2 * len(layout.bars)
+    sheet = np.concatenate([np.tile(np.arange(leads // 2), 2), layout.sheet_of_bar])
+    behind = np.tril(sheet[:, None] == sheet[None, :])
+    behind[range(leads, leads + n), range(leads, leads + n)] = False
+    own = np.eye(n, leads + n + more, leads)
+    joint = np.eye(leads + n + more, k=-1)
+    joint[:, [*range(leads), *range(leads + n - 1, leads + n + more)]] = 0.0
+    return np.pad(behind, (0, more)), np.concatenate([own, own + own @ joint.T]), joint
 
 
 def _gather(layout: Layout, sides: Array, lx: Array, ly: Array) -> Array:

@@ -69,7 +69,7 @@ def _polar_jvp(
 
 
 def solve_positive(matrix: Array, sides: Array) -> Array:
-    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix.
+    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix, of which the lower triangle is read.
 
     Differentiated as a solution (one more solve with the same factor), not through the factorisation.
     """
@@ -79,7 +79,11 @@ def solve_positive(matrix: Array, sides: Array) -> Array:
         half = lax.linalg.triangular_solve(root, rhs, left_side=True, lower=True)
         return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
-    return lax.custom_linear_solve(lambda x: matrix @ x, sides, solve, symmetric=True)
+    def times(x: Array) -> Array:
+        lower = jnp.tril(matrix)
+        return (lower + lower.T - jnp.diag(jnp.diag(lower))) @ x
+
+    return lax.custom_linear_solve(times, sides, solve, symmetric=True)
 
 
 def step_down(x: Array, half_width: float) -> Array:
