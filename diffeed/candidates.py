@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from diffeed.bodies import Bodies, bodies, spins
-from diffeed.contact import Closest, Kept, arcs_near, circles_near, features, keep, keep_all, lines_near, roller_gaps
+from diffeed.contact import Closest, Kept, circles_near, features, guides_near, keep, keep_all, roller_gaps
 from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import Model, Path
 from diffeed.state import State
@@ -104,12 +104,16 @@ def _choose(model: Model, state: State, span: Array) -> tuple[list[Array | None]
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
     found, free = [], []
-    families = (circles_near, lines_near, arcs_near)
+    families = (
+        lambda: circles_near(model, rows, world, looked_at),
+        lambda: guides_near(model, rows, world, looked_at._replace(arcs=None)),
+        lambda: guides_near(model, rows, world, looked_at._replace(lines=None)),
+    )
     depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
     for near, depth, count, of in zip(families, depths, size[:3], close, strict=True):
         index, next_gap = None, jnp.inf
         if count is not None:
-            index, next_gap = _nearest(near(model, rows, world, looked_at), depth, count, model, of)
+            index, next_gap = _nearest(near(), depth, count, model, of)
         found.append(index)
         free.append(next_gap)
     run_up = jnp.full((), jnp.inf, reach.dtype)

@@ -5,7 +5,7 @@ along the next: (bodies, features). What touches is the scene's `skin`. "bars": 
 feature, the tail's end circle is another. "smooth": the piece of curve at each node is a feature, and hangs on two bars. A
 sheet has one more feature than bars in either case.
 To add a guide shape: give it a point-to-shape function in `shapes`, posed arrays in `model` and `bodies`, and one more
-entry in `_near` and `keep`; law, sums and solver do not change.
+entry in `guides_near` and `keep`; law, sums and solver do not change.
 """
 
 import functools
@@ -22,7 +22,7 @@ from diffeed.contact_law import Grip, Surface, Touch, contact_law
 from diffeed.kinematics import Pose, from_nodes, pieces_to_bars, to_nodes, to_nodes_behind
 from diffeed.model import Arcs, Lines, Model
 from diffeed.once import derived_once
-from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, point_line
+from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, point_line, round_ends
 from diffeed.skin import Pieces, piece_circle, touched
 from diffeed.smooth import polar
 
@@ -287,13 +287,9 @@ def _near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -
     families = []
     if kept.n_circles:
         families.append(circles_near(model, rows, world, kept))
-    if model.lines.names and kept.lines is not None:
-        families.append(lines_near(model, rows, world, kept))
-    if model.arcs.names and kept.arcs is not None:
-        families.append(arcs_near(model, rows, world, kept))
-    if len(families) == 1:
-        return families[0]
-    return jax.tree.map(lambda *v: jnp.concatenate(v), *families)
+    if (model.lines.names and kept.lines is not None) or (model.arcs.names and kept.arcs is not None):
+        families.append(guides_near(model, rows, world, kept))
+    return _in_rows(families)
 
 
 def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
@@ -351,29 +347,49 @@ def _places(model: Model, rows: tuple[Features, ...], u: Array) -> tuple[Place, 
     return tuple(Place(f.share, f.arm * row.c, f.arm * row.s) for f, row in zip(found, rows, strict=True))
 
 
-def lines_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
-    """End circles, or points of the smooth skin, against line guides."""
-    lines = kept.lines
-    assert lines is not None
-    if world.line_motion is not None:
-        lines = jax.tree.map(lambda v: pick(v, kept.line_index), world.lines)
+def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """End circles, or points of the smooth skin, against line guides and arc guides."""
     places = _samples(model, rows)
     px, py = _points(rows, places)
-    near = point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length, lines.faces)
-    return _end_circles(rows, places, near, world.line_motion, kept.line_index)
+    faced, faces, motion = [], [], []
+    if kept.lines is not None and model.lines.names:
+        lines = _posed(kept.lines, world.lines, world.line_motion, kept.line_index)
+        faced.append(point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length))
+        faces.append(lines.faces)
+        motion.append(_motion(lines, world.line_motion, kept.line_index))
+    if kept.arcs is not None and model.arcs.names:
+        arcs = _posed(kept.arcs, world.arcs, world.arc_motion, kept.arc_index)
+        mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
+        faced.append(point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
+        faces.append(arcs.faces)
+        motion.append(_motion(arcs, world.arc_motion, kept.arc_index))
+    near = round_ends(px, py, _in_rows(faced), _in_rows(faces))
+    moves = world.line_motion is not None or world.arc_motion is not None
+    return _end_circles(rows, places, near, _in_rows(motion) if moves else None)
 
 
-def arcs_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
-    """End circles, or points of the smooth skin, against arc guides."""
-    arcs = kept.arcs
-    assert arcs is not None
-    if world.arc_motion is not None:
-        arcs = jax.tree.map(lambda v: pick(v, kept.arc_index), world.arcs)
-    places = _samples(model, rows)
-    px, py = _points(rows, places)
-    mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
-    near = point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side, arcs.faces)
-    return _end_circles(rows, places, near, world.arc_motion, kept.arc_index)
+def _posed(kept: Any, now: Any, motion: Rigid | None, index: Array | None) -> Any:
+    """Kept guides where they are now."""
+    return kept if motion is None else jax.tree.map(lambda v: pick(v, index), now)
+
+
+def _motion(guides: Lines | Arcs, motion: Rigid | None, index: Array | None) -> Rigid:
+    still = jnp.zeros_like(guides.x)
+    return (
+        Rigid(guides.x, guides.y, still, still, still) if motion is None else Rigid(*(pick(v, index) for v in motion))
+    )
+
+
+def _in_rows(families: list[Any]) -> Any:
+    """Families of bodies one after the other: (bodies, 1) or (slots, features) each."""
+    if len(families) == 1:
+        return families[0]
+
+    def joined(*parts: Array) -> Array:
+        width = max(v.shape[1] for v in parts)
+        return jnp.concatenate([jnp.broadcast_to(v, (v.shape[0], width)) for v in parts])
+
+    return jax.tree.map(joined, *families)
 
 
 def _samples(model: Model, rows: tuple[Features, ...]) -> tuple[Place, ...]:
@@ -393,17 +409,14 @@ def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Arra
     return blend(places, x), blend(places, y)
 
 
-def _end_circles(
-    rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None, index: Array | None
-) -> Closest:
-    """Circles around points of the sheets against a guide's face; a moving guide lends its surface speed at the touched point."""
+def _end_circles(rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None) -> Closest:
+    """Circles around points of the sheets against guides; a moving guide lends its surface speed at the touched point."""
     u_n = u_t = zero = jnp.zeros_like(near.gap)
     half_thickness = rows[-1].half_thickness
     if motion is not None:
-        rigid = Rigid(*(pick(v, index) for v in motion))
         px, py = _points(rows, places)
-        rx, ry = px - half_thickness * near.nx - rigid.x, py - half_thickness * near.ny - rigid.y
-        ux, uy = rigid.vx - rigid.w * ry, rigid.vy + rigid.w * rx
+        rx, ry = px - half_thickness * near.nx - motion.x, py - half_thickness * near.ny - motion.y
+        ux, uy = motion.vx - motion.w * ry, motion.vy + motion.w * rx
         u_n, u_t = near.nx * ux + near.ny * uy, near.nx * uy - near.ny * ux
     places = jax.tree.map(lambda v: jnp.broadcast_to(v, zero.shape), places)
     return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, zero)

@@ -41,12 +41,20 @@ class Face(NamedTuple):
     joined: tuple[Array, Array]  # 1 where the end coincides with another guide's end
 
 
-def point_line(px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, length: Array, face: Face) -> Near:
+class Faced(NamedTuple):
+    """A point against a bearing face that goes on beyond its ends."""
+
+    gap: Array
+    nx: Array
+    ny: Array
+    beyond: tuple[Array, Array]  # mm that the point lies past the first end and past the second
+
+
+def point_line(px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, length: Array) -> Faced:
     """A point against a line from (x, y) along (tx, ty) that bears on its left."""
     dx, dy = px - x, py - y
     along, height = dx * tx + dy * ty, dy * tx - dx * ty
-    plane = Near(height, -ty + 0.0 * along, tx + 0.0 * along, jnp.ones(()))
-    return _round_ends(px, py, plane, (-along, along - length), face)
+    return Faced(height, -ty + 0.0 * along, tx + 0.0 * along, (-along, along - length))
 
 
 def point_arc(
@@ -58,8 +66,7 @@ def point_arc(
     mid: tuple[Array, Array],
     quarter: tuple[Array, Array],
     side: Array,
-    face: Face,
-) -> Near:
+) -> Faced:
     """A point against an arc. `mid` is the unit vector to its middle, `quarter` (cos, sin) of a quarter of its sweep,
     `side` +1 where the sheet runs inside, -1 outside.
 
@@ -67,8 +74,8 @@ def point_arc(
     ends, and free of atan2.
     """
     distance, ux, uy = polar(px - cx, py - cy)
-    surface = Near(side * (radius - distance), -side * ux, -side * uy, jnp.ones(()))
-    return _round_ends(px, py, surface, past_ends_of_arc(ux, uy, radius, mid, quarter), face)
+    beyond = past_ends_of_arc(ux, uy, radius, mid, quarter)
+    return Faced(side * (radius - distance), -side * ux, -side * uy, beyond)
 
 
 def past_ends_of_arc(
@@ -81,18 +88,19 @@ def past_ends_of_arc(
     return scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q)
 
 
-def _round_ends(px: Array, py: Array, plane: Near, beyond: tuple[Array, Array], face: Face) -> Near:
+def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
     """Replace the bearing face past a free end by the tip circle, and fade it across a joined end."""
-    behind = plane.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
-    gap, weight = jnp.where(behind, -plane.gap, plane.gap), jnp.where(behind, 0.0, 1.0)
-    nx, ny = plane.nx, plane.ny
+    behind = faced.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
+    gap, weight = jnp.where(behind, -faced.gap, faced.gap), jnp.where(behind, 0.0, 1.0)
+    nx, ny = faced.nx, faced.ny
+    # Both ends at once: (2, guides, points).
+    joined, beyond = jnp.stack(face.joined) > 0, jnp.stack(faced.beyond)
+    past, fading = beyond > jnp.where(joined, JOIN_WINDOW, 0.0), step_down(beyond, JOIN_WINDOW)
+    tip = point_circle(px[None], py[None], jnp.stack(face.tip_x), jnp.stack(face.tip_y), face.tip_radius[None])
     for end in (0, 1):
-        joined = face.joined[end] > 0
-        past = beyond[end] > jnp.where(joined, JOIN_WINDOW, 0.0)
-        tip = point_circle(px, py, face.tip_x[end], face.tip_y[end], face.tip_radius)
-        gap = jnp.where(past, tip.gap, gap)
-        nx, ny = jnp.where(past, tip.nx, nx), jnp.where(past, tip.ny, ny)
-        weight = jnp.where(joined, weight * step_down(beyond[end], JOIN_WINDOW), jnp.where(past, 1.0, weight))
+        gap = jnp.where(past[end], tip.gap[end], gap)
+        nx, ny = jnp.where(past[end], tip.nx[end], nx), jnp.where(past[end], tip.ny[end], ny)
+        weight = jnp.where(joined[end], weight * fading[end], jnp.where(past[end], 1.0, weight))
     return Near(gap, nx, ny, weight)
 
 
