@@ -20,18 +20,20 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     k, n_sheets = sides.shape[0], len(layout.bars)
     lx, ly = 2.0 * system.lever_x, 2.0 * system.lever_y
     bias_x, bias_y = _centres(layout, jnp.stack([system.bias_x, system.bias_y]))
-    sides = sides.at[0].add(-_pull(system, bias_x, bias_y))
-    below = None
-    if system.border is None:
-        gathered = _gather(layout, sides, lx, ly)
-    else:
+    given = sides.at[0].add(-_pull(system, bias_x, bias_y))
+    if system.border is not None:
+        given = jnp.concatenate([given, system.border.columns])
+    b = system.bars
+    halves, totals = _totals(layout, jnp.concatenate([jnp.stack([b.xx, b.xy, b.yy]), given[:, 0], given[:, 1]]))
+    (half_x, half_y), (total_x, total_y) = (jnp.split(v[3:], 2) for v in (halves, totals))
+    gathered = jnp.concatenate([total_x, total_y, given[:, 2] + lx[None] * half_x + ly[None] * half_y], axis=1)
+    gathered, coupling, below = gathered[:k], gathered[k:], None
+    if system.border is not None:
         columns = system.border.columns
-        both = _gather(layout, jnp.concatenate([sides, columns]), lx, ly)
-        gathered, coupling = both[:k], both[k:]
         below = jnp.concatenate([coupling, system.border.matrix], axis=1)
         bias = jnp.concatenate([bias_x, bias_y]) @ columns[:, :2].reshape(columns.shape[0], -1).T
         gathered = jnp.concatenate([gathered, border.at[0].add(-bias)], axis=1)
-    found = solve_positive(_lower(system, layout, lx, ly, below), gathered.T).T
+    found = solve_positive(_lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below), gathered.T).T
     lead_x, lead_y, w, rest = jnp.split(found, (n_sheets, 2 * n_sheets, 2 * n_sheets + layout.n_bars), axis=1)
     turned = _centres(layout, jnp.concatenate([system.lever_x[None] * w, system.lever_y[None] * w]))
     x, y = turned[:k] + lead_x[:, layout.sheet_of_bar], turned[k:] + lead_y[:, layout.sheet_of_bar]
@@ -55,14 +57,17 @@ def _totals(layout: Layout, values: Array) -> tuple[Array, Array]:
     return both[:, : layout.n_bars], both[:, layout.n_bars :]
 
 
-def _lower(system: System, layout: Layout, lx: Array, ly: Array, below: Array | None) -> Array:
-    """Lower triangle of the matrix, whose last rows are `below`. A lead is a bar that all others of its sheet are behind.
+def _lower(
+    system: System, layout: Layout, lever: tuple[Array, Array], blocks: tuple[Array, Array], below: Array | None
+) -> Array:
+    """Lower triangle of the matrix, whose last rows are `below`; `blocks` are sums of xx, xy, yy over the bars behind each
+    and over sheets. A lead is a bar that all others of its sheet are behind.
 
     Made by one product, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
     entry of the matrix: so what the diagonal needs goes through a product too.
     """
     b, n_sheets, more = system.bars, len(layout.bars), 0 if below is None else below.shape[0]
-    (hxx, hxy, hyy), (txx, txy, tyy) = _totals(layout, jnp.stack([b.xx, b.xy, b.yy]))
+    (lx, ly), ((hxx, hxy, hyy), (txx, txy, tyy)) = lever, blocks
     vx, vy = hxx * lx + hxy * ly + b.xw, hxy * lx + hyy * ly + b.yw
     one, zero = jnp.ones((n_sheets,), lx.dtype), jnp.zeros((n_sheets,), lx.dtype)
     moved = jnp.stack([jnp.concatenate([one, zero, lx]), jnp.concatenate([zero, one, ly])])
@@ -89,11 +94,3 @@ def _tables(layout: Layout, more: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     joint = np.eye(leads + n + more, k=-1)
     joint[:, [*range(leads), *range(leads + n - 1, leads + n + more)]] = 0.0
     return np.pad(behind, (0, more)), np.concatenate([own, own + own @ joint.T]), joint
-
-
-def _gather(layout: Layout, sides: Array, lx: Array, ly: Array) -> Array:
-    """(k, 3, bars) on bars -> (k, 2 sheets + bars) on leads and turnings."""
-    k = sides.shape[0]
-    behind, totals = _totals(layout, jnp.concatenate([sides[:, 0], sides[:, 1]]))
-    turning = sides[:, 2] + lx[None] * behind[:k] + ly[None] * behind[k:]
-    return jnp.concatenate([totals[:k], totals[k:], turning], axis=1)

@@ -422,14 +422,16 @@ def _end_circles(rows: tuple[Features, ...], places: tuple[Place, ...], near: Ne
     return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, zero)
 
 
-def by_circle(kept: Kept, values: Array, count: int) -> Array:
-    """(k, rows, features) of circles -> (k, count, features): the own row of each of the first circles, or the slot that
-    holds it. Rollers are the first; all circles can be asked for only where circles stick."""
+def by_circle(kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | int = 0) -> Array:
+    """(k, kinds, rows, features) of circles -> (k, which, features): of one kind each, the row of a circle or the slot that
+    holds it. Rollers are the first; other circles can be asked for only where circles stick."""
+    rows = values.shape[2]
+    flat = values.reshape(values.shape[0], -1, values.shape[3])
     if kept.slot is None or kept.has_slot is None:
-        return values
-    cut = slice(None if count == kept.slot.shape[0] else count)
-    held = jnp.take_along_axis(values, kept.slot[None, cut], axis=1)
-    return jnp.where(kept.has_slot[cut], held, 0.0)
+        return flat[:, rows * kind + which]
+    offset = jnp.asarray(np.broadcast_to(rows * kind, which.shape)[:, None], kept.slot.dtype)
+    held = jnp.take_along_axis(flat, (offset + kept.slot[which])[None], axis=1)
+    return jnp.where(kept.has_slot[which], held, 0.0)
 
 
 class RollerPairs(NamedTuple):

@@ -310,7 +310,8 @@ def _spin_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
 def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tuple[Array, Array, Array]:
     """Coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
     rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
-    move, free, both = rollers.movable, rollers.free, slice(rollers.counts[0], m)
+    roller = np.concatenate([np.arange(rollers.n)[rollers.movable], np.arange(rollers.n)[rollers.free]])
+    kind = np.arange(model.n_border) >= m  # of each row of the border: travel, spin
     a_n, a_t, f_n, f_t = (v[:n] for v in felt(pairs, step).full())
     nx, ny = pairs.nx[:n], pairs.ny[:n]
     gn = -(kept.travel_x * nx + kept.travel_y * ny)
@@ -318,29 +319,30 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     gs = -kept.spin_lever
     own = [f_n * gn + f_t * gt, f_t * gs]
     if not step.implicit:  # no end of a step is felt: nothing is coupled
-        push, twist = jnp.sum(by_circle(kept, jnp.stack(own), rollers.n), axis=2)
+        rhs = jnp.sum(by_circle(kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
         alone = jnp.zeros((model.n_border, model.n_border))
-        return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, jnp.concatenate([push[move], twist[free]])
+        return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, rhs
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
-    pairwise = []
+    felt_by = []
     for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
         rn, rt = lever.rn, lever.rt
-        # What a travel couples to the bar (x, y, turning), and a spin.
-        coupled = [an * nx - at * ny, an * ny + at * nx, an * rn + at * rt, -asp * ny, asp * nx, asp * rt]
-        pairwise += [shared(lever, v) for v in coupled]
-    last = len(pairwise)
-    pairwise += [an * gn + at * gt, asp * gs, at * gs, *own]
-    felt_by = by_circle(kept, jnp.stack(pairwise), rollers.n)
-    columns = to_bars(model, jnp.split(felt_by[:last], last // 6))
-    columns = jnp.concatenate([columns[:3, move], columns[3:, free]], axis=1).swapaxes(0, 1)
-    along, turning, cross, push, twist = jnp.sum(felt_by[last:], axis=2)
-    matrix = jnp.diag(jnp.concatenate([along[move], turning[free]]))
+        # What the bar couples (x, y, turning) to a travel and to a spin.
+        coupled = [an * nx - at * ny, -asp * ny, an * ny + at * nx, asp * nx, an * rn + at * rt, asp * rt]
+        felt_by += [shared(lever, v) for v in coupled]
+    felt_by += [an * gn + at * gt, asp * gs, *own]
+    table = jnp.stack(felt_by).reshape(-1, 2, *nx.shape)
+    rows = by_circle(kept, table, roller, kind)
+    columns = to_bars(model, jnp.split(rows[:-2], len(pairs.levers))).swapaxes(0, 1)
+    diagonal, rhs = jnp.sum(rows[-2:], axis=2)
+    matrix = jnp.diag(diagonal)
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
-        at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in _both(rollers.counts))
-        mixed = (at_travel.T * cross[both][None]) @ at_spin
+        travel, spin = _both(rollers.counts)
+        cross = jnp.sum(by_circle(kept, (at * gs)[None, None], roller[travel])[0], axis=1)
+        at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in (travel, spin))
+        mixed = (at_travel.T * cross[None]) @ at_spin
         matrix = matrix + mixed + mixed.T
-    return columns, matrix, jnp.concatenate([push[move], twist[free]])
+    return columns, matrix, rhs
 
 
 def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -60,7 +60,7 @@ def _gather(model: Model, pairs: Pairs, kept: Kept, values: tuple[Array, ...]) -
     n, found = kept.n_circles, []
     if model.sticks[0]:
         own = jnp.asarray(model.layout.sheet_of_feature, whole.dtype)
-        sums = by_circle(kept, whole[:, :n], len(model.circle_names)) @ own
+        sums = by_circle(kept, whole[:, None, :n], np.arange(len(model.circle_names))) @ own
         found.append(sums.reshape(len(values), -1))
     if model.sticks[1]:
         found.append(jnp.sum(whole[:, n:], axis=1))
