@@ -24,16 +24,16 @@ def flags(monkeypatch):
 
 
 def test_flags_are_added_to_those_given(flags):
-    assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", "--xla_cpu_use_fusion_emitters=false"]
-    assert len(flags(tuning.fuse_outputs, "")) == 2
+    quick = ["--xla_cpu_use_fusion_emitters=false", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling"]
+    assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", *quick]
+    assert flags(tuning.fuse_outputs, "") == [quick[0], quick[1] + ",xla_cpu_use_multi_output_fusion"]
 
 
 def test_what_the_user_set_stays(flags):
-    given = "--xla_cpu_use_fusion_emitters=true"
-    assert flags(tuning.compile_quickly, given) == [given]
-    assert flags(tuning.fuse_outputs, given) == [
-        given, "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
-    ]  # fmt: skip
+    emitters, extra = "--xla_cpu_use_fusion_emitters=true", "--xla_backend_extra_options=xla_foo"
+    for call in (tuning.compile_quickly, tuning.fuse_outputs):
+        assert flags(call, f"{emitters} {extra}") == [emitters, extra]
+        assert flags(call, extra) == [extra, "--xla_cpu_use_fusion_emitters=false"]
 
 
 @pytest.mark.parametrize(("before", "after"), [(700, tuning.GARBAGE), (10**6, 10**6), (0, 0)])
@@ -47,7 +47,7 @@ def test_python_looks_for_garbage_less_often_unless_told_otherwise(flags, before
         gc.set_threshold(*kept)
 
 
-@pytest.mark.parametrize(("version", "count"), [("0.10.2", 1), ("0.11.2", 0), ("0.12.0.1", 1), ("0.13.0", 0)])
+@pytest.mark.parametrize(("version", "count"), [("0.10.2", 2), ("0.11.2", 0), ("0.12.0.1", 1), ("0.13.0", 0)])
 def test_a_compiler_that_is_known_to_fuse_does_so_unasked(flags, version, count):
     given = flags(tuning.compile_quickly, "", version)
     assert len(given) == count
