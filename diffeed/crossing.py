@@ -26,14 +26,16 @@ def guides_crossed(model: Model, state: State) -> Array:
     if model.lines.names:
         dx, dy = x[None, :] - lines.x[:, None], y[None, :] - lines.y[:, None]
         tx, ty = lines.tx[:, None], lines.ty[:, None]
-        across, share = _sides(dy * tx - dx * ty, lines.faces.depth[:, None])
-        along = dx * tx + dy * ty
+        height, along = dy * tx - dx * ty, dx * tx + dy * ty
+        across, (a, b) = _sides(height, lines.faces.depth[:, None])
+        share = a / jnp.where(across, a - b, 1.0)
         meets = along[:, :-1] + share * (along[:, 1:] - along[:, :-1])
         found.append(across & (meets > 0) & (meets < lines.length[:, None]))
     if model.arcs.names:
         dx, dy = x[None, :] - arcs.x[:, None], y[None, :] - arcs.y[:, None]
-        distance = polar(dx, dy)[0]
-        across, share = _sides(arcs.side[:, None] * (arcs.radius[:, None] - distance), arcs.faces.depth[:, None])
+        height = arcs.side[:, None] * (arcs.radius[:, None] - polar(dx, dy)[0])
+        across, _ = _sides(height, arcs.faces.depth[:, None])
+        share = _meets_circle(dx, dy, arcs.radius[:, None])
         px, py = (v[:, :-1] + share * (v[:, 1:] - v[:, :-1]) for v in (dx, dy))
         mid, quarter = (
             tuple(v[:, None] for v in pair) for pair in ((arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter))
@@ -43,9 +45,21 @@ def guides_crossed(model: Model, state: State) -> Array:
     return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
 
 
-def _sides(height: Array, depth: Array) -> tuple[Array, Array]:
+def _sides(height: Array, depth: Array) -> tuple[Array, tuple[Array, Array]]:
     """(guides, nodes) heights above faces -> per pair of neighbours: whether the face lies between them and one is deep
-    behind it, and where between them."""
+    behind it, and the heights of both."""
     a, b = height[:, :-1], height[:, 1:]
-    apart = jnp.where(a == b, 1.0, a - b)
-    return (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * depth), a / apart
+    return (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * depth), (a, b)
+
+
+def _meets_circle(x: Array, y: Array, radius: Array) -> Array:
+    """(guides, nodes) about circles' centres -> where between neighbours on both sides of a circle they meet it, 0 to 1.
+
+    The root of a quadratic: heights do not change evenly along a bar, and a long one that enters an arc meets its circle well
+    before the arc begins.
+    """
+    x0, y0 = x[:, :-1], y[:, :-1]
+    dx, dy = x[:, 1:] - x0, y[:, 1:] - y0
+    a, b, c = dx * dx + dy * dy, x0 * dx + y0 * dy, x0 * x0 + y0 * y0 - radius**2
+    root = jnp.sqrt(jnp.maximum(b * b - a * c, 0.0))
+    return jnp.clip((jnp.where(c < 0, root, -root) - b) / jnp.where(a > 0, a, 1.0), 0.0, 1.0)

@@ -12,6 +12,9 @@ from jax import Array
 
 from diffeed.smooth import divide, polar, step_down
 
+EVENLY = 1e-9
+"""mm: so close to a joint two bars share a contact evenly."""
+
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
 
@@ -155,6 +158,9 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
 
 
 def _share(mine: Array, other: Array) -> Array:
-    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too)."""
-    both = (mine <= 0) & (other <= 0) & (mine + other < 0)
-    return jnp.where(both, mine / jnp.where(both, mine + other, 1.0), 1.0)
+    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too).
+
+    A circle right over the joint is shared evenly, and the slope there stays finite.
+    """
+    both = (mine <= 0) & (other <= 0)
+    return jnp.where(both, (mine - EVENLY) / jnp.where(both, mine + other - 2.0 * EVENLY, 1.0), 1.0)

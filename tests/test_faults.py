@@ -180,6 +180,13 @@ def test_a_bar_across_a_guide_at_the_start(guide):
     assert problem.startswith("guides.wall: a bar lies across it at the start")
 
 
+def test_a_long_bar_that_enters_an_arc_is_not_across_it():
+    """Its front is on the arc, its rear far outside the arc's circle, which it meets 2.5 mm before the arc begins."""
+    turn = ArcGuide(center=(0.0, 14.75), radius=15.0, start_angle=-90.0, sweep=40.0)
+    floor = LineGuide(start=(-80.0, -0.25), end=(0.0, -0.25))
+    assert not diffeed.check(machine(strip(lead=(1.0, 0.0)), guides={"floor": floor, "turn": turn}))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_crossing_is_what_plain_geometry_says(seed):
     """Random bars against a line and arcs of both sides; some cross, some do not."""

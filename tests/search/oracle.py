@@ -64,8 +64,11 @@ def across(part: str, guide: Any, nodes: np.ndarray) -> list[str]:
     """A bar whose ends lie on both sides of the face, one of them behind its depth, and which meets the face."""
     height = _height(guide, nodes)
     a, b = height[:, :-1], height[:, 1:]
-    share = a / np.where(a == b, 1.0, a - b)
-    meets = nodes[:, :-1] + share[..., None] * (nodes[:, 1:] - nodes[:, :-1])
+    front, rear = nodes[:, :-1], nodes[:, 1:]
+    for _ in range(60):  # halved until the face is met
+        meets = 0.5 * (front + rear)
+        near = (_height(guide, meets) * a > 0)[..., None]
+        front, rear = np.where(near, meets, front), np.where(near, rear, meets)
     through = (a * b < 0) & (np.minimum(a, b) < -BEHIND * float(guide.depth)) & _on_face(guide, meets)
     return [f"a bar lies across {part} in frame {int(np.argwhere(through)[0, 0])}"] if through.any() else []
 
