@@ -28,8 +28,10 @@ def each(look: Any, scenes: list[diffeed.Scene]) -> Any:
 
 # --- a sheet drawn slowly around a cylinder -----------------------------------------------------------------------
 
-BAR, STRAIGHT, DRAW, WHILE = 2.0, 30.0, 4.0, 2.0  # mm, mm, mm/s, s
-BARS, STEP = 56, 2.5e-3
+BAR, STRAIGHT, DRAW, WHILE = 1.6, 30.0, 4.0, 2.0  # mm, mm, mm/s, s
+"""A polygon of bars wraps less than the drum: 0.7 % less ratio with 2 mm, 0.4 % with 1.6; half the thickness takes 0.5 %."""
+BARS, STEP = 70, 2.5e-3
+FRAMES, PASSING = 161, 64  # 0.05 mm per frame, two bars
 FLEXIBLE = 1e-6  # share of the bending stiffness
 
 
@@ -74,9 +76,9 @@ def pull_ratio(friction: Any, scene: diffeed.Scene) -> tuple[Any, Any]:
     The mean over the last two bars that pass: at rest the clamp carries what contact and load leave.
     """
     scene = diffeed.put(scene, "guides.drum.friction", friction)
-    trajectory = diffeed.simulate(scene, WHILE, STEP, 161)
+    trajectory = diffeed.simulate(scene, WHILE, STEP, FRAMES)
     held = scene.loads["hold"].force
-    push = jnp.sum(trajectory.sheets["sheet"].push[-80:], axis=(0, 1)) / 80.0
+    push = jnp.sum(trajectory.sheets["sheet"].push[-PASSING:], axis=(0, 1)) / PASSING
     return -(push + held) / jnp.sqrt(jnp.sum(held**2)), trajectory.ok
 
 

@@ -266,7 +266,7 @@ def contact_rows() -> dict[str, Row]:
             1e-5,
         ),
         "one floor twice": Row(_laid(THICK, 3000.0, 8e-4, stiffness=400.0), 1e-5),
-        "no friction": Row(nip(friction=0.0), 1e-4, 2e-7),
+        "no friction": Row(nip(friction=0.0), 1e-4, 1.5e-7),
         **{f"friction {mu:g}": Row(nip(friction=mu, pull=PULL), 1e-4, 1e-5) for mu in GLUE},
         "friction 5 resolved": Row(nip(friction=5.0, pull=PULL), 5e-9),
         "lifted": Row(machine(bite=-0.5, speed=SPEED, contact=BARE | {"damping_exponent": 0.5}), 1e-4),
