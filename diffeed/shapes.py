@@ -12,8 +12,8 @@ from jax import Array
 
 from diffeed.smooth import divide, polar, step_down
 
-EVENLY = 1e-9
-"""mm: so close to a joint two bars share a contact evenly."""
+EVENLY = 1e-6
+"""mm: a contact that is much closer than this to the ends of both bars is shared evenly."""
 
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
@@ -160,7 +160,8 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
 def _share(mine: Array, other: Array) -> Array:
     """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too).
 
-    A circle right over the joint is shared evenly, and the slope there stays finite.
+    That is mine / (mine + other), but a circle right over the joint is shared evenly and has a finite slope. Both shares add
+    up to one.
     """
-    both = (mine <= 0) & (other <= 0)
-    return jnp.where(both, (mine - EVENLY) / jnp.where(both, mine + other - 2.0 * EVENLY, 1.0), 1.0)
+    both, sum_ = (mine <= 0) & (other <= 0), mine + other
+    return jnp.where(both, (mine * sum_ + 0.5 * EVENLY**2) / (sum_ * sum_ + EVENLY**2), 1.0)

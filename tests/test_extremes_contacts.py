@@ -271,17 +271,8 @@ def test_at_5_metres_per_second_no_sheet_goes_through_a_wall(step, method):
 # --- places without a direction ------------------------------------------------------------------------------------------
 
 
-TWICE_AT_JOINTS = pytest.mark.xfail(
-    strict=True,
-    reason="a foot exactly on a straight joint lies on both bars and counts twice, until anything moves; with half each, "
-    "or all on one, the search finds no rest for a sheet on two rollers under its joints (test_features)",
-)
-
-
 @EACH
-@pytest.mark.parametrize(
-    "name", ["post on the axis", "post on the lead", pytest.param("post on a joint", marks=TWICE_AT_JOINTS)]
-)
+@pytest.mark.parametrize("name", ["post on the axis", "post on the lead", "post on a joint"])
 def test_a_centre_on_the_axis_has_a_force_and_a_gradient(name, method):
     """No direction is the right one: it pushes to some side, with the force of its depth, and everything stays finite."""
     run = ex.contacts(method)[name]
@@ -293,7 +284,6 @@ def test_a_centre_on_the_axis_has_a_force_and_a_gradient(name, method):
     assert ex.is_finite(run.slopes)
 
 
-@TWICE_AT_JOINTS
 @pytest.mark.parametrize("bars", [4, 5, 8])
 def test_a_roller_over_a_joint_presses_once(bars):
     """Exactly over it, where the foot lies on both bars and on neither: a straight sheet feels what it feels elsewhere."""
