@@ -23,14 +23,20 @@ class Rigid(NamedTuple):
     w: Array
 
 
+class Guides(NamedTuple):
+    """Motions of line guides and of arc guides."""
+
+    lines: Rigid
+    arcs: Rigid
+
+
 class Bodies(NamedTuple):
     """Everything a sheet can touch, posed."""
 
     circles: Rigid  # (circles,): rollers, circle guides, tips
     lines: Lines
     arcs: Arcs
-    line_motion: Rigid | None  # None: all still
-    arc_motion: Rigid | None
+    guide_motion: Guides | None  # of line and arc guides; None: all still
     spin: Array  # (rollers,) rad/s
 
 
@@ -99,20 +105,18 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
     """Pose of every body at `time`; driven shafts turn as prescribed at `drive_time` (the end of an implicit step)."""
     spin = spins(model, state, drive_time)
     circles = _circles_at(model, state, spin)
-    lines, arcs, line_motion, arc_motion = model.lines, model.arcs, None, None
-    shifts = {key: shift_at(path, time) for key, path in model.paths.items()}
-    if any(key.startswith("lines.") for key in shifts):
-        line_motion = _still(lines.x, lines.y)
-    if any(key.startswith("arcs.") for key in shifts):
-        arc_motion = _still(arcs.x, arcs.y)
-    for key, shift in shifts.items():
+    lines, arcs = model.lines, model.arcs
+    line_motion, arc_motion = _still(lines.x, lines.y), _still(arcs.x, arcs.y)
+    moves = False
+    for key, path in model.paths.items():
         family, k = key.split(".")
+        shift, moves = shift_at(path, time), moves or family != "circles"
         circles = _move(circles, _circles_of(model.circles, family, int(k)), shift)
-        if family == "lines" and line_motion is not None:
+        if family == "lines":
             lines, line_motion = _move_line(lines, line_motion, int(k), shift)
-        elif family == "arcs" and arc_motion is not None:
+        elif family == "arcs":
             arcs, arc_motion = _move_arc(arcs, arc_motion, int(k), shift)
-    return Bodies(circles, lines, arcs, line_motion, arc_motion, spin)
+    return Bodies(circles, lines, arcs, Guides(line_motion, arc_motion) if moves else None, spin)
 
 
 def _circles_at(model: Model, state: State, spin: Array) -> Rigid:

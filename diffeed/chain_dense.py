@@ -17,27 +17,29 @@ from diffeed.system import Answer, System
 
 def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answer:
     """Right-hand sides (sides, 3, bars) and (sides, border) -> accelerations. Side 0 carries the bias."""
-    k, n_sheets = sides.shape[0], len(layout.bars)
+    k, n_sheets, columns, matrix = sides.shape[0], len(layout.bars), *_border(system, layout)
     lx, ly = 2.0 * system.lever_x, 2.0 * system.lever_y
     bias_x, bias_y = _centres(layout, jnp.stack([system.bias_x, system.bias_y]))
-    given = sides.at[0].add(-_pull(system, bias_x, bias_y))
-    if system.border is not None:
-        given = jnp.concatenate([given, system.border.columns])
+    given = jnp.concatenate([sides.at[0].add(-_pull(system, bias_x, bias_y)), columns])
     b = system.bars
     halves, totals = _totals(layout, jnp.concatenate([jnp.stack([b.xx, b.xy, b.yy]), given[:, 0], given[:, 1]]))
     (half_x, half_y), (total_x, total_y) = (jnp.split(v[3:], 2) for v in (halves, totals))
     gathered = jnp.concatenate([total_x, total_y, given[:, 2] + lx[None] * half_x + ly[None] * half_y], axis=1)
-    gathered, coupling, below = gathered[:k], gathered[k:], None
-    if system.border is not None:
-        columns = system.border.columns
-        below = jnp.concatenate([coupling, system.border.matrix], axis=1)
-        bias = jnp.concatenate([bias_x, bias_y]) @ columns[:, :2].reshape(columns.shape[0], -1).T
-        gathered = jnp.concatenate([gathered, border.at[0].add(-bias)], axis=1)
-    found = solve_positive(_lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below), gathered.T).T
+    below = jnp.concatenate([gathered[k:], matrix], axis=1)
+    bias = columns[:, 0] @ bias_x + columns[:, 1] @ bias_y
+    right = jnp.concatenate([gathered[:k], border.at[0].add(-bias)], axis=1)
+    found = solve_positive(_lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below), right.T).T
     lead_x, lead_y, w, rest = jnp.split(found, (n_sheets, 2 * n_sheets, 2 * n_sheets + layout.n_bars), axis=1)
     turned = _centres(layout, jnp.concatenate([system.lever_x[None] * w, system.lever_y[None] * w]))
     x, y = turned[:k] + lead_x[:, layout.sheet_of_bar], turned[k:] + lead_y[:, layout.sheet_of_bar]
     return Answer(x.at[0].add(bias_x), y.at[0].add(bias_y), w, rest)
+
+
+def _border(system: System, layout: Layout) -> tuple[Array, Array]:
+    """Columns and matrix of the border, of none too."""
+    if system.border is None:
+        return jnp.zeros((0, 3, layout.n_bars), system.lever_x.dtype), jnp.zeros((0, 0), system.lever_x.dtype)
+    return system.border.columns, system.border.matrix
 
 
 def _pull(system: System, x: Array, y: Array) -> Array:
@@ -58,7 +60,7 @@ def _totals(layout: Layout, values: Array) -> tuple[Array, Array]:
 
 
 def _lower(
-    system: System, layout: Layout, lever: tuple[Array, Array], blocks: tuple[Array, Array], below: Array | None
+    system: System, layout: Layout, lever: tuple[Array, Array], blocks: tuple[Array, Array], below: Array
 ) -> Array:
     """Lower triangle of the matrix, whose last rows are `below`; `blocks` are sums of xx, xy, yy over the bars behind each
     and over sheets. A lead is a bar that all others of its sheet are behind.
@@ -66,7 +68,7 @@ def _lower(
     Made by one product, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
     entry of the matrix: so what the diagonal needs goes through a product too.
     """
-    b, n_sheets, more = system.bars, len(layout.bars), 0 if below is None else below.shape[0]
+    b, n_sheets, more = system.bars, len(layout.bars), below.shape[0]
     (lx, ly), ((hxx, hxy, hyy), (txx, txy, tyy)) = lever, blocks
     vx, vy = hxx * lx + hxy * ly + b.xw, hxy * lx + hyy * ly + b.yw
     one, zero = jnp.ones((n_sheets,), lx.dtype), jnp.zeros((n_sheets,), lx.dtype)
@@ -80,7 +82,7 @@ def _lower(
     upper = jnp.asarray(behind.T, lx.dtype) * product
     upper = upper + jnp.diag(apply(jnp.concatenate([own, system.coupling]), diagonal))
     upper = upper - jnp.asarray(joint.T, lx.dtype) * jnp.pad(system.coupling, (2 * n_sheets, more))[:, None]
-    return upper.T if below is None else (upper + jnp.pad(below.T, ((0, 0), (upper.shape[0] - more, 0)))).T
+    return (upper + jnp.pad(below.T, ((0, 0), (upper.shape[0] - more, 0)))).T
 
 
 def _tables(layout: Layout, more: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

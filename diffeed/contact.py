@@ -133,7 +133,7 @@ class Kept(NamedTuple):
     travel_x: Array  # unit direction of a movable roller's travel, 0 for all other circles
     travel_y: Array
     spin_lever: Array  # radius of a freely turning roller, 0 for all other circles
-    lines: Lines | None  # None: not looked at
+    lines: Lines | None  # None: there are none, or they are not looked at
     arcs: Arcs | None
     surface: Surface
     allowed: Array  # mm that a bar axis may lie inside
@@ -157,6 +157,11 @@ def pick(values: Array, index: Array | None) -> Array:
 def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
     """`pick` for several at once: one gather instead of many."""
     return tuple(v[:, None] for v in values) if index is None else tuple(jnp.stack(values)[:, index])
+
+
+def _kept(family: Any, index: Array | None) -> Any:
+    """`pick` for every value of a family of guides."""
+    return jax.tree.map(lambda v: pick(v, index), family)
 
 
 def keep_all(model: Model) -> Kept:
@@ -203,11 +208,7 @@ def keep(
 
     def surface(values: Array) -> Array:
         parts = [(values[:c], circles), (values[c : c + n_lines], lines), (values[c + n_lines :], arcs)]
-        rows = [pick(v, index) for v, index in parts if v.shape[0]] or [pick(values, None)]
-        if all(r.shape[1] == 1 for r in rows):
-            return jnp.concatenate(rows)
-        width = model.layout.tail.shape[0]
-        return jnp.concatenate([jnp.broadcast_to(r, (r.shape[0], width)) for r in rows])
+        return _in_rows([pick(v, index) for v, index in parts if v.shape[0]] or [pick(values, None)])
 
     slot = has_slot = None
     if circles is not None:
@@ -227,8 +228,8 @@ def keep(
         travel_x=pick(jnp.concatenate([rollers.dir_x, still]), circles),
         travel_y=pick(jnp.concatenate([rollers.dir_y, still]), circles),
         spin_lever=pick(levers, circles),
-        lines=jax.tree.map(lambda v: pick(v, lines), model.lines),
-        arcs=jax.tree.map(lambda v: pick(v, arcs), model.arcs),
+        lines=_kept(model.lines, lines) if model.lines.names else None,
+        arcs=_kept(model.arcs, arcs) if model.arcs.names else None,
         surface=jax.tree.map(surface, model.surface),
         allowed=surface(allowed_depths(model)),
         approach=surface(allowed_approaches(model)),
@@ -287,7 +288,7 @@ def _near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -
     families = []
     if kept.n_circles:
         families.append(circles_near(model, rows, world, kept))
-    if (model.lines.names and kept.lines is not None) or (model.arcs.names and kept.arcs is not None):
+    if kept.lines is not None or kept.arcs is not None:
         families.append(guides_near(model, rows, world, kept))
     return _in_rows(families)
 
@@ -351,33 +352,21 @@ def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: K
     """End circles, or points of the smooth skin, against line guides and arc guides."""
     places = _samples(model, rows)
     px, py = _points(rows, places)
-    faced, faces, motion = [], [], []
-    if kept.lines is not None and model.lines.names:
-        lines = _posed(kept.lines, world.lines, world.line_motion, kept.line_index)
+    faced, faces, moving = [], [], world.guide_motion
+    if kept.lines is not None:
+        lines = kept.lines if moving is None else _kept(world.lines, kept.line_index)
         faced.append(point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length))
         faces.append(lines.faces)
-        motion.append(_motion(lines, world.line_motion, kept.line_index))
-    if kept.arcs is not None and model.arcs.names:
-        arcs = _posed(kept.arcs, world.arcs, world.arc_motion, kept.arc_index)
+    if kept.arcs is not None:
+        arcs = kept.arcs if moving is None else _kept(world.arcs, kept.arc_index)
         mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
         faced.append(point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
         faces.append(arcs.faces)
-        motion.append(_motion(arcs, world.arc_motion, kept.arc_index))
-    near = round_ends(px, py, _in_rows(faced), _in_rows(faces))
-    moves = world.line_motion is not None or world.arc_motion is not None
-    return _end_circles(rows, places, near, _in_rows(motion) if moves else None)
-
-
-def _posed(kept: Any, now: Any, motion: Rigid | None, index: Array | None) -> Any:
-    """Kept guides where they are now."""
-    return kept if motion is None else jax.tree.map(lambda v: pick(v, index), now)
-
-
-def _motion(guides: Lines | Arcs, motion: Rigid | None, index: Array | None) -> Rigid:
-    still = jnp.zeros_like(guides.x)
-    return (
-        Rigid(guides.x, guides.y, still, still, still) if motion is None else Rigid(*(pick(v, index) for v in motion))
-    )
+    near, motion = round_ends(px, py, _in_rows(faced), _in_rows(faces)), None
+    if moving is not None:
+        families = ((kept.lines, moving.lines, kept.line_index), (kept.arcs, moving.arcs, kept.arc_index))
+        motion = _in_rows([_kept(moved, index) for guides, moved, index in families if guides is not None])
+    return _end_circles(rows, places, near, motion)
 
 
 def _in_rows(families: list[Any]) -> Any:

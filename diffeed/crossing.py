@@ -27,14 +27,14 @@ def guides_crossed(model: Model, state: State) -> Array:
         dx, dy = x[None, :] - lines.x[:, None], y[None, :] - lines.y[:, None]
         tx, ty = lines.tx[:, None], lines.ty[:, None]
         height, along = dy * tx - dx * ty, dx * tx + dy * ty
-        across, (a, b) = _sides(height, lines.faces.depth[:, None])
-        share = a / jnp.where(across, a - b, 1.0)
+        across, fall = _across(height, lines.faces.depth[:, None]), height[:, :-1] - height[:, 1:]
+        share = height[:, :-1] / jnp.where(across, fall, 1.0)
         meets = along[:, :-1] + share * (along[:, 1:] - along[:, :-1])
         found.append(across & (meets > 0) & (meets < lines.length[:, None]))
     if model.arcs.names:
         dx, dy = x[None, :] - arcs.x[:, None], y[None, :] - arcs.y[:, None]
         height = arcs.side[:, None] * (arcs.radius[:, None] - polar(dx, dy)[0])
-        across, _ = _sides(height, arcs.faces.depth[:, None])
+        across = _across(height, arcs.faces.depth[:, None])
         share = _meets_circle(dx, dy, arcs.radius[:, None])
         px, py = (v[:, :-1] + share * (v[:, 1:] - v[:, :-1]) for v in (dx, dy))
         mid, quarter = (
@@ -45,11 +45,10 @@ def guides_crossed(model: Model, state: State) -> Array:
     return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
 
 
-def _sides(height: Array, depth: Array) -> tuple[Array, tuple[Array, Array]]:
-    """(guides, nodes) heights above faces -> per pair of neighbours: whether the face lies between them and one is deep
-    behind it, and the heights of both."""
+def _across(height: Array, depth: Array) -> Array:
+    """(guides, nodes) heights above faces -> whether the face lies between neighbours and one of them is deep behind it."""
     a, b = height[:, :-1], height[:, 1:]
-    return (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * depth), (a, b)
+    return (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * depth)
 
 
 def _meets_circle(x: Array, y: Array, radius: Array) -> Array:

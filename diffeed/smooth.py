@@ -80,8 +80,7 @@ def solve_positive(matrix: Array, sides: Array) -> Array:
         return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
     def times(x: Array) -> Array:
-        lower = jnp.tril(matrix)
-        return (lower + lower.T - jnp.diag(jnp.diag(lower))) @ x
+        return (jnp.tril(matrix) + jnp.tril(matrix, -1).T) @ x
 
     return lax.custom_linear_solve(times, sides, solve, symmetric=True)
 

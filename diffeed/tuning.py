@@ -12,7 +12,8 @@ Flags = tuple[tuple[str, str], ...]
 EXTRA = "xla_backend_extra_options"
 QUICK: Flags = (("xla_cpu_use_fusion_emitters", "false"), (EXTRA, "xla_cpu_disable_loop_unrolling"))
 """Compiles in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second alone in
-seven eighths: loops here are as long as a sheet has bars, and what can be computed side by side is found without unrolling."""
+seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by side is
+found without unrolling."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
 """One loop makes several results: steps take two thirds of the time, gradients half. Not for every scene: up to jaxlib 0.10
 the compiler goes on with some (those of `runge_kutta` among them) until the memory is full."""
