@@ -12,8 +12,9 @@ from jax import Array
 
 from diffeed.smooth import divide, polar, step_down
 
-EVENLY = 1e-6
-"""mm: a contact that is much closer than this to the ends of both bars is shared evenly."""
+EVENLY = {"float64": 1e-6, "float32": 1e-2}
+"""mm from a joint within which one bar hands a circle over to the next: far above what rounding makes of where a joint is, for
+each bar finds it by itself."""
 
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
@@ -138,8 +139,8 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
 
     A bar is touched on its face when the circle's foot lies on it. A joint's end circle counts once, with the bar that
     it leads, and only in the wedge that both faces leave open (no hole where the joint bends away). Where a joint bends
-    towards the circle both faces see it: each carries the share that its foot lies inside, so that the sum stays
-    continuous and one contact is never counted twice.
+    towards the circle both faces see it: each carries the share that its foot lies inside. All shares add up to one, within
+    the rounding of a joint's place too: one contact is never counted twice, nor lost.
     """
     dx, dy, c, s, half = cx - chain.x, cy - chain.y, chain.c, chain.s, chain.half_length
     foot = dx * c + dy * s
@@ -150,18 +151,26 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
     rear_ahead = jnp.where(chain.first, 1.0, rear_ahead)
     front_behind = jnp.where(chain.last, 1.0, front_behind)
     on_face = (front <= 0) & (rear <= 0) & ~chain.tail
-    on_node = jnp.where(chain.tail, rear > 0, (front > 0) & (rear_ahead > 0))
-    share = _share(front, rear_ahead) * _share(rear, front_behind)
+    face = _on_face(front, rear_ahead) * _on_face(rear, front_behind)
+    node = (1.0 - _inside(front)) * (1.0 - _inside(rear_ahead))
+    weight = jnp.where(chain.tail, 1.0 - _inside(rear), face + node)
     arm = jnp.clip(foot, -half, half)
     near = point_circle(chain.x + arm * c, chain.y + arm * s, cx, cy, radius)
-    return BarNear(near.gap, near.nx, near.ny, jnp.where(on_face, share, jnp.where(on_node, 1.0, 0.0)), arm, on_face)
+    return BarNear(near.gap, near.nx, near.ny, weight, arm, on_face)
 
 
-def _share(mine: Array, other: Array) -> Array:
-    """Share of a face whose end is `mine` <= 0 away, when the neighbour's is `other` (<= 0: it sees the circle too).
+def _inside(past: Array) -> Array:
+    """1 inside an end of a bar, 0 past it, handed over within `EVENLY`; without a slope right at the end, where a circle that
+    stands over a joint at the start shall not make one."""
+    u = jnp.clip(past / EVENLY[past.dtype.name], -1.0, 1.0)
+    return 0.5 - 0.5 * u * u * u
 
-    That is mine / (mine + other), but a circle right over the joint is shared evenly and has a finite slope. Both shares add
-    up to one.
+
+def _on_face(mine: Array, other: Array) -> Array:
+    """Share of a face whose end is passed by `mine`, when the neighbour's is by `other`.
+
+    Where both see the circle that is mine / (mine + other), but even right over the joint.
     """
-    both, sum_ = (mine <= 0) & (other <= 0), mine + other
-    return jnp.where(both, (mine * sum_ + 0.5 * EVENLY**2) / (sum_ * sum_ + EVENLY**2), 1.0)
+    sum_, even = mine + other, EVENLY[mine.dtype.name] ** 2
+    share = (mine * sum_ + 0.5 * even) / (sum_ * sum_ + even)
+    return _inside(mine) * (1.0 - _inside(other) * (1.0 - share))

@@ -11,13 +11,13 @@ from cases import extremes as ex
 from cases.extremes import EXPLICIT, METHODS, Run
 
 import diffeed
-from diffeed import ArcGuide, Contact, FixedRoller, LineGuide, Scene, Sheet
+from diffeed import ArcGuide, CircleGuide, Contact, FixedRoller, LineGuide, Scene, Sheet
 from diffeed.causes import ACROSS, FROM_NOWHERE, LEAPT, TOO_DEEP, TOO_FAST, UNRESOLVED
 from diffeed.contact_law import contact_law
 from diffeed.model import build
 from diffeed.parts import normalise
 from diffeed.records import replace
-from diffeed.snapshot import snapshot
+from diffeed.snapshot import look, snapshot
 from diffeed.state import initial_state
 
 FIRST_ORDER = "linear_euler"
@@ -302,6 +302,37 @@ def test_a_roller_over_a_joint_presses_once(bars):
     found = np.asarray(pressed(jnp.asarray(np.concatenate([joints, joints + 1e-9, joints - 1e-9, [-11.0]]))))
     assert found[-1] > 1.0
     np.testing.assert_allclose(found, np.full(found.shape, found[-1]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_shares_over_a_joint_add_up_to_one_whatever_rounding_makes_of_its_place(dtype):
+    """Two bars that meet in a joint each find by themselves where it is: off by a last digit, a contact was lost or doubled."""
+    rng = np.random.default_rng(1)
+    bars, count, long = 10, 400, 100.0
+    kink = 10.0 ** rng.uniform(-17, -1, count) * (np.arange(count) % 2)
+    heading = kink[:, None] * rng.normal(size=(count, bars))
+    steps = long / bars * np.stack([np.cos(heading), np.sin(heading)])
+    node = -np.cumsum(steps, axis=2)[:, np.arange(count), rng.integers(0, bars - 1, count)]
+    off = 10.0 ** rng.uniform(-18, -2, count) * rng.normal(size=count)
+    turn = 0.5 * np.pi + kink * rng.normal(size=count)
+    way = ex.RADIUS * np.stack([np.cos(turn), np.sin(turn)])
+
+    @jax.jit
+    @jax.vmap
+    def total(heading: jax.Array, place: jax.Array) -> jax.Array:
+        sheet = Sheet(
+            length=long, thickness=ex.THICK, width=30.0, density=8e-7, youngs_modulus=3000.0, bars=bars,
+            headings=jnp.rad2deg(heading),
+        )  # fmt: skip
+        post = CircleGuide(center=place, radius=ex.RADIUS)
+        scene = normalise(Scene(sheets={"paper": sheet}, guides={"post": post}, initial="given"))
+        model = build(scene)
+        pairs = look(model, initial_state(model, scene))[2].sheets
+        return jnp.sum(pairs.weight)
+
+    for side in (1.0, -1.0):
+        found = total(*(jnp.asarray(v, dtype) for v in (heading, (node + off + side * way).T)))
+        np.testing.assert_allclose(found, 1.0, atol={"float64": 1e-7, "float32": 1e-3}[dtype])
 
 
 # --- ends of guides ---------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ import functools
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases.contact_cases import NEWTON, case, extrapolated, penetration, plate, power_law, run
@@ -52,6 +53,28 @@ def nip(
 def slip_at(share: float, law: str) -> float:
     """Slip over stick speed at which friction has this share of its largest value."""
     return float(np.arctanh(share)) if law == "tanh" else share / float(np.sqrt(1.0 - share**2))
+
+
+@pytest.mark.parametrize("bars", [2, 5, 10, 20])
+def test_a_weightless_sheet_rests_in_a_nip_wherever_its_joints_are(bars):
+    """With a joint exactly between the rollers too, where rounding alone says which bar they press."""
+
+    @jax.jit
+    @jax.vmap
+    def rest(lead: jax.Array) -> tuple[jax.Array, jax.Array]:
+        sheet = diffeed.Sheet(
+            length=100.0, thickness=0.2, width=50.0, density=1e-6, youngs_modulus=2000.0, bars=bars,
+            lead=jnp.stack([lead, jnp.zeros(())]),
+        )  # fmt: skip
+        contact = power_law(200.0, 1.0)
+        rollers = nip("", 0.0, 100.0, 1.0, 0.5, 0.5, sheet, contact)
+        scene = diffeed.Scene(sheets={"s": sheet}, rollers=rollers, contacts={"default": contact}, gravity=(0.0, 0.0))
+        state = diffeed.settle(scene)
+        return state.travel[0], jnp.max(jnp.abs(state.heading))
+
+    travel, turned = rest(jnp.asarray(np.concatenate([100.0 / bars * np.arange(bars + 1), [33.3]])))
+    np.testing.assert_allclose(travel, np.full(travel.shape, travel[-1]), atol=1e-9)
+    assert np.max(np.abs(turned)) < 1e-9
 
 
 def steady(values: Any) -> float:
