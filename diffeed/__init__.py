@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffeed import measures
+    from diffeed.causes import CAUSES
     from diffeed.check_records import SceneError
     from diffeed.check_records import make_scene as scene
     from diffeed.examine import check
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "CAUSES",
     "METHODS",
     "OBSERVERS",
     "ArcGuide",
@@ -90,6 +92,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "causes": ("CAUSES",),
     "check_records": ("SceneError",),
     "examine": ("check",),
     "gradient_trust": ("GradientCheck", "check_function", "gradient_check"),

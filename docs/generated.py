@@ -253,10 +253,11 @@ def _help(text: str | None) -> str:
 
 
 def words() -> str:
-    """Names of steppers and observers."""
+    """Names of steppers and observers, and causes of failed runs by number."""
     rows = [
         ("`diffeed.METHODS`", ", ".join(f"`{m}`" for m in diffeed.METHODS)),
         ("`diffeed.OBSERVERS`", ", ".join(f"`{o}`" for o in diffeed.OBSERVERS)),
+        ("`diffeed.CAUSES`", "; ".join(f"{i}: {what}" for i, what in enumerate(diffeed.CAUSES) if i)),
     ]
     return table(("", "Names"), rows)
 

@@ -2,7 +2,9 @@
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from diffeed.limits import MAX_STEPS
 from diffeed.words import escaped, name_problem
@@ -20,13 +22,23 @@ def _one_line(text: str) -> str:
     return text
 
 
+def _no_word(value: Any) -> Any:
+    """Left to itself, pydantic reads "5" as 5 and true as 1."""
+    if isinstance(value, (str, bytes, bool, np.bool_)):
+        raise PydanticCustomError("number", "Input should be a number")
+    return value
+
+
+plain = BeforeValidator(_no_word)
+"""After a `Field`, so that the schema knows its bounds."""
+Number = Annotated[float, plain]
 Name = Annotated[str, AfterValidator(_named)]
 """Of a variable, a limit, a measure: it appears in pictures and in the names of files."""
 Title = Annotated[str, Field(max_length=200), AfterValidator(_one_line)]
-Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
-Positive = Annotated[float, Field(gt=0)]
-Nonnegative = Annotated[float, Field(ge=0)]
-Pair = tuple[float, float]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1), plain]
+Positive = Annotated[float, Field(gt=0), plain]
+Nonnegative = Annotated[float, Field(ge=0), plain]
+Pair = tuple[Number, Number]
 
 
 class Record(BaseModel):
@@ -91,9 +103,9 @@ class Runs(Record):
     """s: longest step."""
     step_tolerance: Positive | None = None
     """mm: choose steps by their error, none longer than `dt` if that is given."""
-    most_steps: Annotated[int, Field(ge=1, le=MAX_STEPS)] = 20_000
+    most_steps: Annotated[int, Field(ge=1, le=MAX_STEPS), plain] = 20_000
     """With a `step_tolerance`: steps of one run; memory of a reverse-mode gradient grows with it."""
-    frames: Annotated[int, Field(ge=2, le=100_001)] = 41
+    frames: Annotated[int, Field(ge=2, le=100_001), plain] = 41
     """Moments of a run that are looked at, evenly spaced."""
     method: str = "linear_euler"
     """Time stepper."""
@@ -125,9 +137,9 @@ class Measured(Record):
 class Limit(Measured):
     """An inequality constraint on a measure. `scale` is the size of a violation that matters."""
 
-    at_least: float | None = None
+    at_least: Number | None = None
     """Smallest value that is allowed, in the unit of the measure."""
-    at_most: float | None = None
+    at_most: Number | None = None
     """Largest value that is allowed."""
     scale: Positive = 1.0
     """Size of a violation that matters, in the unit of the measure."""

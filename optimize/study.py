@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 from optimize.records import Limit as Limit
 from optimize.records import Measured as Measured
 from optimize.records import Moved as Moved
-from optimize.records import Name, Nonnegative, Pair, Positive, Record, Runs, Seed
+from optimize.records import Name, Nonnegative, Number, Pair, Positive, Record, Runs, Seed, plain
 from optimize.tolerance.records import Tolerance
 
-Iterations = Annotated[int, Field(ge=1, le=1_000_000)]
+Iterations = Annotated[int, Field(ge=1, le=1_000_000), plain]
 
 
 class Variable(Moved):
@@ -21,7 +21,7 @@ class Variable(Moved):
 
     bounds: Pair
     """Lower and upper value, in the variable's own unit."""
-    start: float | None = None
+    start: Number | None = None
     """Where the search begins; the scene's value if not given, no movement for a shift or a turn."""
     transform: Literal["bounded", "log"] = "bounded"
     """With "log", equal steps are equal shares; needs bounds > 0."""
@@ -43,9 +43,9 @@ class Variable(Moved):
 class Goal(Measured):
     """One term of the objective: weight * ((measure - target)/scale)^2 with a target, weight * measure/scale without."""
 
-    weight: float = 1.0
+    weight: Number = 1.0
     """Factor of this term; a negative one asks for more of the measure."""
-    target: float | None = None
+    target: Number | None = None
     """Value to come near to; without it, less is better."""
     scale: Positive = 1.0
     """Size that counts as one, in the unit of the measure."""
@@ -65,7 +65,7 @@ class Stage(Record):
 
     iterations: Iterations
     """Iterations of this stage."""
-    smoothing: Annotated[float, Field(ge=1)] = 1.0
+    smoothing: Annotated[float, Field(ge=1), plain] = 1.0
     """Smoothing lengths and stick speeds times this."""
     duration: Positive | None = None
     """s: length of its runs; the study's if not given."""
@@ -78,11 +78,11 @@ class Robust(Record):
     The same deviations in every iteration, or with `redraw` new ones.
     """
 
-    samples: Annotated[int, Field(ge=1, le=1024)] = 16
+    samples: Annotated[int, Field(ge=1, le=1024), plain] = 16
     """Machines at every point."""
     over: Literal["mean", "worst", "cvar"] = "mean"
     """What is made of their objectives."""
-    tail: Annotated[float, Field(gt=0, le=1)] = 0.25
+    tail: Annotated[float, Field(gt=0, le=1), plain] = 0.25
     """Share of machines that count as the worst, for cvar."""
     redraw: bool = False
     """New deviations in every iteration."""
@@ -103,21 +103,21 @@ class Search(Record):
     """Longest gradient that is let through, in the objective per range."""
     iterations: Iterations = 60
     """Iterations, where no stages are given."""
-    starts: Annotated[int, Field(ge=1, le=256)] = 1
+    starts: Annotated[int, Field(ge=1, le=256), plain] = 1
     """Searches from as many points: the study's own start, the others spread about it."""
-    spread: Annotated[float, Field(gt=0, le=1)] = 0.25
+    spread: Annotated[float, Field(gt=0, le=1), plain] = 0.25
     """How far other starts lie from the first, in shares of the range."""
     seed: Seed = 0
     """Of starts and samples."""
     gradient: Literal["exact", "expected"] = "exact"
     """With "expected", the mean over points within the tolerances is followed."""
-    samples: Annotated[int, Field(ge=2, le=1024)] = 8
+    samples: Annotated[int, Field(ge=2, le=1024), plain] = 8
     """Points of an expected gradient."""
     patience: Iterations = 15
     """Iterations without a gain after which the search stops."""
     gain: Nonnegative = 1e-3
     """Share of the objective that counts as a gain."""
-    goal: float | None = None
+    goal: Number | None = None
     """Objective at which the search stops."""
     seconds: Positive | None = None
     """Time after which the search stops."""
@@ -140,7 +140,7 @@ class Study(Runs):
     """Other sheets through the same machine, by name."""
     over: Literal["mean", "worst", "cvar"] = "mean"
     """What is made of the objectives of several media."""
-    tail: Annotated[float, Field(gt=0, le=1)] = 0.5
+    tail: Annotated[float, Field(gt=0, le=1), plain] = 0.5
     """Share of the media that count as the worst, for cvar."""
     tolerances: dict[Name, Tolerance] = Field(default_factory=dict)
     """How numbers scatter, by name: the search then looks at several machines at every point."""

@@ -59,6 +59,7 @@ RANKS = """
     bench.report bench.charts bench.files bench.advise
     bench.cli
     cli
+    __main__
     __init__
 """
 """Modules by rank, lowest first; modules of one line may not import each other upwards either (a line is ordered)."""

@@ -357,6 +357,11 @@ def test_version_and_examples():
         assert "Examples:\n    diffeed " in invoke(*words, "--help").output
 
 
+def test_python_runs_it_as_a_module():
+    found = subprocess.run([sys.executable, "-m", "diffeed", "--help"], capture_output=True, text=True, check=True)
+    assert found.stdout.startswith("Usage: python -m diffeed ")
+
+
 def test_scenes_are_listed_with_their_purpose():
     listed = invoke("scenes").output
     assert listed.startswith("film_feeder\n  The film feeding machine")

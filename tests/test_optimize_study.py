@@ -43,6 +43,9 @@ def test_a_good_study_has_no_problems():
         ({"variables": {"a": {"shift": ["rollers.pinch"], "bounds": [0, 1]}}}, ["variables.a", "direction"]),
         ({"limits": {"b": {"measure": "slip"}}}, ["limits.b", "at_least or at_most"]),
         ({"search": {"iterations": 0}}, ["search.iterations", "greater than or equal to 1", "0"]),
+        ({"dt": "5"}, ["dt must be a number", "'5'"]),
+        ({"frames": True}, ["frames must be a number", "True"]),
+        ({"variables": {"a": {"path": "x", "bounds": ["0", 1]}}}, ["variables.a.bounds", "must be a number", "'0'"]),
         ({"over": "median"}, ["over", "'mean'", "median"]),
     ],
 )  # fmt: skip

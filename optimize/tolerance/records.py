@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from optimize.records import Limit, Measured, Moved, Name, Pair, Positive, Record, Runs, Seed
+from optimize.records import Limit, Measured, Moved, Name, Number, Pair, Positive, Record, Runs, Seed, plain
 
 
 class Tolerance(Moved):
@@ -30,7 +30,7 @@ class Tolerance(Moved):
     """Standard deviation, instead of a `tolerance`."""
     relative: bool = False
     """Sizes are shares of the nominal value."""
-    offset: float = 0.0
+    offset: Number = 0.0
     """The mean is off the nominal value by so much (wear)."""
     limits: Pair | None = None
     """Deviations that inspection lets through (truncated_normal); the tolerance itself if not given."""
@@ -38,7 +38,7 @@ class Tolerance(Moved):
     """Several paths or parts share one draw."""
     group: Name | None = None
     """Name of a group that is drawn together (one batch of rubber)."""
-    correlation: Annotated[float, Field(ge=0, le=1)] = 0.8
+    correlation: Annotated[float, Field(ge=0, le=1), plain] = 0.8
     """Within the group."""
     file: str | None = None
     """CSV file of measured values (kind = "data"); a relative path counts from the study file."""
@@ -87,7 +87,7 @@ class Axis(Record):
     """Sheet whose media card moves with the climate."""
     range: Pair
     """Lower and upper value."""
-    points: Annotated[int, Field(ge=2, le=201)] = 21
+    points: Annotated[int, Field(ge=2, le=201), plain] = 21
     """Values along the axis."""
 
     @model_validator(mode="after")
@@ -125,7 +125,7 @@ class ToleranceStudy(Runs):
     """What is recorded of each sample, by name."""
     limits: dict[Name, Limit] = Field(default_factory=dict)
     """What must hold for a sample to pass, by name; recorded as well."""
-    samples: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
+    samples: Annotated[int, Field(ge=1, le=10_000_000), plain] = 1000
     """Machines that are drawn."""
     sampling: Literal["plain", "latin_hypercube", "sobol"] = "plain"
     """How they are drawn."""
