@@ -10,6 +10,7 @@ import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from diffeed.bodies import Bodies, bodies, spins
@@ -30,11 +31,11 @@ SIZE = 100.0
 
 
 PAIRS = 4
-"""Pairs of rollers kept for each movable one: a pinch has its drive, and room for what else may come near."""
+"""Partners kept for each movable roller: a pinch has its drive, and room for what else may come near."""
 
 
 class Slots(NamedTuple):
-    """Bodies kept per feature and family, and pairs of rollers; None: few enough to be kept whole."""
+    """Bodies kept per feature and family, and partners of each movable roller; None: few enough to be kept whole."""
 
     circles: int | None
     lines: int | None
@@ -53,12 +54,11 @@ def slots(model: Model) -> Slots:
         wanted = min(MOST_SLOTS, 4 + -(-2 * count // model.layout.n_bars))
         return wanted if count > wanted else None
 
-    pairs = PAIRS * model.rollers.n_movable
     return Slots(
         circles=choose(len(model.circle_names)),
         lines=choose(len(model.lines.names)),
         arcs=choose(len(model.arcs.names)),
-        pairs=pairs if len(model.pairs) > 2 * pairs else None,
+        pairs=PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None,
     )
 
 
@@ -119,9 +119,13 @@ def _choose(model: Model, state: State, span: Array) -> tuple[list[Array | None]
     run_up = jnp.full((), jnp.inf, reach.dtype)
     if size.pairs is not None:
         run_up = _run_up(model, state, span)
-        closest, index = lax.top_k(-roller_gaps(model, world, model.pair_index)[3], size.pairs + 1)
-        found.append(index[:-1])
-        free.append(-closest[-1] * reach / (reach + run_up))  # the two shrink together where a search is made earlier
+        partner, which = model.pairs_by_roller
+        mine = np.broadcast_to(np.arange(len(partner))[:, None], partner.shape)
+        gap = jnp.where(which < 0, jnp.inf, roller_gaps(model, world, (mine, partner))[3])
+        closest, index = lax.top_k(-gap, size.pairs + 1)
+        found.append(index[:, :-1])
+        next_gap = -jnp.max(closest[:, -1])
+        free.append(next_gap * reach / (reach + run_up))  # the two shrink together where a search is made earlier
     limit = functools.reduce(jnp.minimum, free)
     limit = jnp.asarray(limit, reach.dtype)
     return found, (reach, limit, x, y, state.travel, pace, run_up)

@@ -7,17 +7,21 @@ bar k asks of everything in front, its entries are l_j . v_k for j before k. `v`
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from diffeed.model import Layout
 from diffeed.smooth import solve_positive
 from diffeed.sums import apply, before, membership
-from diffeed.system import Answer, System
+from diffeed.system import Answer, Border, System
+
+APART_FROM = 16
+"""Unknowns of rollers from which it pays to eliminate each by itself (measured, one CPU core)."""
 
 
 def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answer:
     """Right-hand sides (sides, 3, bars) and (sides, border) -> accelerations. Side 0 carries the bias."""
-    k, n_sheets, columns, matrix = sides.shape[0], len(layout.bars), *_border(system, layout)
+    k, n_sheets, beside = sides.shape[0], len(layout.bars), system.border
+    columns = jnp.zeros((0, 3, layout.n_bars), sides.dtype) if beside is None else beside.columns
     lx, ly = 2.0 * system.lever_x, 2.0 * system.lever_y
     bias_x, bias_y = _centres(layout, jnp.stack([system.bias_x, system.bias_y]))
     given = jnp.concatenate([sides.at[0].add(-_pull(system, bias_x, bias_y)), columns])
@@ -25,21 +29,43 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     halves, totals = _totals(layout, jnp.concatenate([jnp.stack([b.xx, b.xy, b.yy]), given[:, 0], given[:, 1]]))
     (half_x, half_y), (total_x, total_y) = (jnp.split(v[3:], 2) for v in (halves, totals))
     gathered = jnp.concatenate([total_x, total_y, given[:, 2] + lx[None] * half_x + ly[None] * half_y], axis=1)
-    below = jnp.concatenate([gathered[k:], matrix], axis=1)
     bias = columns[:, 0] @ bias_x + columns[:, 1] @ bias_y
-    right = jnp.concatenate([gathered[:k], border.at[0].add(-bias)], axis=1)
-    found = solve_positive(_lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below), right.T).T
+    right = (gathered[:k], border.at[0].add(-bias))
+
+    def lower(below: Array) -> Array:
+        return _lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below)
+
+    def whole() -> Array:
+        matrix = jnp.zeros((0, 0), sides.dtype) if beside is None else beside.matrix()
+        below = jnp.concatenate([gathered[k:], matrix], axis=1)
+        return solve_positive(lower(below), jnp.concatenate(right, axis=1).T).T
+
+    if beside is None or beside.apart is None or columns.shape[0] < APART_FROM:
+        found = whole()
+    else:
+        found = lax.cond(beside.apart, lambda: _by_rollers(lower(gathered[:0]), gathered[k:], beside, right), whole)
     lead_x, lead_y, w, rest = jnp.split(found, (n_sheets, 2 * n_sheets, 2 * n_sheets + layout.n_bars), axis=1)
     turned = _centres(layout, jnp.concatenate([system.lever_x[None] * w, system.lever_y[None] * w]))
     x, y = turned[:k] + lead_x[:, layout.sheet_of_bar], turned[k:] + lead_y[:, layout.sheet_of_bar]
     return Answer(x.at[0].add(bias_x), y.at[0].add(bias_y), w, rest)
 
 
-def _border(system: System, layout: Layout) -> tuple[Array, Array]:
-    """Columns and matrix of the border, of none too."""
-    if system.border is None:
-        return jnp.zeros((0, 3, layout.n_bars), system.lever_x.dtype), jnp.zeros((0, 0), system.lever_x.dtype)
-    return system.border.columns, system.border.matrix
+def _by_rollers(chain: Array, coupling: Array, beside: Border, right: tuple[Array, Array]) -> Array:
+    """The same with rollers that feel each other through the sheets alone: each is eliminated by itself, which leaves the
+    chain."""
+    own, mixed, twin = beside.own, beside.mixed, beside.twin
+    alone = twin == np.arange(len(twin))
+    size = jnp.where(alone, own, own * own[twin] - mixed * mixed)
+    by_own, by_twin = jnp.where(alone, 1.0, own[twin]) / size, -mixed / size
+
+    def freed(v: Array) -> Array:
+        """(border, columns) forces on rollers that nothing else holds -> their accelerations."""
+        return by_own[:, None] * v + by_twin[:, None] * v[twin]
+
+    answer = freed(coupling)
+    on_chain, on_rollers = right
+    x = solve_positive(chain - coupling.T @ answer, (on_chain - on_rollers @ answer).T).T
+    return jnp.concatenate([x, freed((on_rollers - x @ coupling.T).T).T], axis=1)
 
 
 def _pull(system: System, x: Array, y: Array) -> Array:

@@ -23,7 +23,7 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     k, columns = sides.shape[0], system.border.columns
     found = _chain(system, layout, jnp.concatenate([sides, columns]))
     moved = jnp.stack(found, axis=1).reshape(k + columns.shape[0], -1) @ columns.reshape(columns.shape[0], -1).T
-    z = solve_positive(system.border.matrix - moved[k:], (border - moved[:k]).T).T
+    z = solve_positive(system.border.matrix() - moved[k:], (border - moved[:k]).T).T
     return Answer._make([*(v[:k] - z @ v[k:] for v in found), z])
 
 

@@ -138,7 +138,7 @@ class Kept(NamedTuple):
     surface: Surface
     allowed: Array  # mm that a bar axis may lie inside
     approach: Array  # mm that a sheet may come nearer in one step
-    pair_index: tuple[Any, Any]  # first and second roller of the pairs of rollers that are looked at
+    pair_index: tuple[Any, Any]  # rollers of the pairs that are looked at, (pairs,) or (movable, partners)
     pair_surface: Surface
     slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
     has_slot: Array | None  # and whether one does
@@ -200,7 +200,7 @@ def allowed_approaches(model: Model) -> Array:
 def keep(
     model: Model, circles: Array | None, lines: Array | None, arcs: Array | None, pairs: Array | None = None
 ) -> Kept:
-    """The bodies of the given indices, (slots, features) each, and the pairs of rollers of the given ones."""
+    """The bodies of the given indices, (slots, features) each, and of each movable roller the given partners."""
     rollers, n = model.rollers, len(model.circle_names)
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
@@ -217,8 +217,9 @@ def keep(
         slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
     pair_index, pair_surface = model.pair_index, model.pair_surface
     if pairs is not None:
-        both = jnp.stack([jnp.asarray(i, pairs.dtype) for i in pair_index])[:, pairs]
-        pair_index, pair_surface = (both[0], both[1]), jax.tree.map(lambda v: v[pairs], pair_surface)
+        partner, which = (jnp.take_along_axis(jnp.asarray(v), pairs, axis=1) for v in model.pairs_by_roller)
+        mine = jnp.broadcast_to(jnp.arange(rollers.n_movable)[:, None], partner.shape)
+        pair_index, pair_surface = (mine, partner), jax.tree.map(lambda v: v[which], pair_surface)
     return Kept(
         circle_index=circles,
         line_index=lines,
@@ -424,7 +425,7 @@ def by_circle(kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | i
 
 
 class RollerPairs(NamedTuple):
-    """Roller against roller, (pairs,): the normal pushes the first away from the second."""
+    """Roller against roller, (pairs,) or (movable, partners): the normal pushes the first away from the second."""
 
     between: tuple[Any, Any]  # index of the first and of the second
     surface: Surface
@@ -437,7 +438,7 @@ class RollerPairs(NamedTuple):
 
 
 def roller_gaps(model: Model, world: Bodies, index: tuple[Any, Any]) -> tuple[Rigid, Rigid, Near, Array]:
-    """Motions of the two rollers of pairs, where they are nearest, and their gap: (pairs,) each."""
+    """Motions of the two rollers of pairs, where they are nearest, and their gap: of the shape of the index."""
     i, j = index
     radius, count = model.rollers.radius, i.shape[0]
     both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, _joined(i, j)]

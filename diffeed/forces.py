@@ -11,9 +11,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from diffeed import stick
+from diffeed.batching import any_of_batch
 from diffeed.bodies import Bodies, bodies, shift_at
 from diffeed.contact import Kept, Lever, Pairs, RollerPairs, by_circle, roller_contacts, shared, sheet_contacts, to_bars
 from diffeed.kinematics import Pose, pose
@@ -270,16 +271,17 @@ def border(model: Model, state: State, touching: Contacts, step: Step, kept: Kep
     m, f = rollers.n_movable, rollers.n_free
     travel_diag, travel_force = _travel_terms(model, state, step)
     spin_diag, spin_force = _spin_terms(model, state, step)
-    matrix = jnp.diag(jnp.concatenate([travel_diag, spin_diag]))
-    rhs = jnp.concatenate([travel_force, spin_force])
-    columns = jnp.zeros((m + f, 3, n_bars))
+    travel, spin = _both(rollers.counts)
+    twin = np.arange(m + f)
+    twin[travel], twin[spin] = spin, travel
+    own, mixed = jnp.concatenate([travel_diag, spin_diag]), jnp.zeros((m + f,))
+    rhs, columns = jnp.concatenate([travel_force, spin_force]), jnp.zeros((m + f, 3, n_bars))
+    beside = Border(columns, rhs, own, mixed, twin, lambda: jnp.zeros((m + f, m + f)), jnp.asarray(True))
     if touching.sheets is not None and m + f:
-        more_columns, more_matrix, more_rhs = _sheet_on_rollers(model, touching.sheets, step, kept)
-        columns, matrix, rhs = columns + more_columns, matrix + more_matrix, rhs + more_rhs
+        beside = _sheet_on_rollers(model, touching.sheets, step, kept, beside)
     if touching.rollers is not None:
-        more_matrix, more_rhs = _roller_on_roller(model, touching.rollers, step)
-        matrix, rhs = matrix + more_matrix, rhs + more_rhs
-    return Border(columns, matrix, rhs)
+        beside = _rollers_on_rollers(model, touching.rollers, step, beside)
+    return beside
 
 
 def clamps(model: Model, state: State, at: Pose, step: Step) -> Clamped:
@@ -307,8 +309,8 @@ def _spin_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
     return (r.inertia + step.h * r.drag if step.implicit else r.inertia), drag
 
 
-def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tuple[Array, Array, Array]:
-    """Coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
+def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside: Border) -> Border:
+    """Add the coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
     rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
     roller = np.concatenate([np.arange(rollers.n)[rollers.movable], np.arange(rollers.n)[rollers.free]])
     kind = np.arange(model.n_border) >= m  # of each row of the border: travel, spin
@@ -320,8 +322,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     own = [f_n * gn + f_t * gt, f_t * gs]
     if not step.implicit:  # no end of a step is felt: nothing is coupled
         rhs = jnp.sum(by_circle(kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
-        alone = jnp.zeros((model.n_border, model.n_border))
-        return jnp.zeros((model.n_border, 3, model.layout.n_bars)), alone, rhs
+        return beside._replace(rhs=beside.rhs + rhs)
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
     felt_by = []
     for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
@@ -334,15 +335,20 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept) -> tup
     rows = by_circle(kept, table, roller, kind)
     columns = to_bars(model, jnp.split(rows[:-2], len(pairs.levers))).swapaxes(0, 1)
     diagonal, rhs = jnp.sum(rows[-2:], axis=2)
-    matrix = jnp.diag(diagonal)
+    mixed = beside.mixed
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
-        travel, spin = _both(rollers.counts)
-        cross = jnp.sum(by_circle(kept, (at * gs)[None, None], roller[travel])[0], axis=1)
-        at_travel, at_spin = (np.eye(model.n_border)[rows] for rows in (travel, spin))
-        mixed = (at_travel.T * cross[None]) @ at_spin
-        matrix = matrix + mixed + mixed.T
-    return columns, matrix, rhs
+        travel = _both(rollers.counts)[0]
+        mixed = mixed + _twice(
+            rollers.counts, jnp.sum(by_circle(kept, (at * gs)[None, None], roller[travel])[0], axis=1)
+        )
+    return beside._replace(columns=columns, rhs=beside.rhs + rhs, own=beside.own + diagonal, mixed=mixed)
+
+
+def _twice(counts: tuple[int, int, int, int], mixed: Array) -> Array:
+    """(movable free rollers,) -> (border,): what couples travel and spin, at both."""
+    before, after = jnp.zeros((counts[0],)), jnp.zeros((counts[2],))
+    return jnp.concatenate([before, mixed, mixed, after])
 
 
 def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -350,8 +356,45 @@ def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
     return counts[0] + np.arange(counts[1]), sum(counts[:2]) + np.arange(counts[1])
 
 
-def _roller_on_roller(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
-    """Rollers against each other: rows of g_n and g_t in the border's unknowns, (pairs, border)."""
+def _rollers_on_rollers(model: Model, pairs: RollerPairs, step: Step, beside: Border) -> Border:
+    """Add rollers against each other. They are summed as rows of g_n and g_t in all unknowns where they are few. Where each
+    movable roller has its own partners, partners without unknowns (driven, on fixed shafts) need no such rows, and others
+    only while they touch."""
+    if pairs.gap.ndim == 1:
+        full, rhs = _of_all(model, pairs, step)
+        return beside._replace(rhs=beside.rhs + rhs, rest=lambda: full, apart=None)
+    flat, none = jax.tree.map(jnp.ravel, pairs), jnp.zeros((model.n_border,))
+    coupled = any_of_batch(jnp.any((pairs.between[1] < sum(model.rollers.counts[:3])) & (pairs.gap < 0.0)))
+    rhs, own, mixed = _on_partners(model, pairs, step)
+    # Where any are coupled all come from the rows, and the sums are left out.
+    alone = jnp.where(coupled, 0.0, 1.0)
+    rhs = alone * rhs + lax.cond(coupled, lambda: _of_all(model, flat, step)[1], lambda: none)
+    return beside._replace(
+        rhs=beside.rhs + rhs,
+        own=beside.own + alone * own,
+        mixed=beside.mixed + alone * mixed,
+        rest=lambda: lax.cond(coupled, lambda: _of_all(model, flat, step)[0], lambda: jnp.diag(none)),
+        apart=~coupled,
+    )
+
+
+def _on_partners(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array, Array]:
+    """Right-hand side, own and mixed terms of movable rollers, (border,) each, from their partners, (movable, partners)."""
+    rollers, start = model.rollers, model.rollers.counts[0]
+    a_n, a_t, f_n, f_t = felt(pairs, step).full()
+    dx, dy = rollers.dir_x[:, None], rollers.dir_y[:, None]
+    along, across = pairs.nx * dx + pairs.ny * dy, pairs.nx * dy - pairs.ny * dx
+    turn, rest = -rollers.radius[start : rollers.n_movable, None], jnp.zeros((rollers.counts[2],))
+    rhs = jnp.concatenate([jnp.sum(f_n * along + f_t * across, axis=1), jnp.sum(f_t[start:] * turn, axis=1), rest])
+    if not step.implicit:
+        return rhs, jnp.zeros_like(rhs), jnp.zeros_like(rhs)
+    own = [jnp.sum(a_n * along**2 + a_t * across**2, axis=1), jnp.sum(a_t[start:] * turn**2, axis=1), rest]
+    mixed = jnp.sum(a_t[start:] * across[start:] * turn, axis=1)
+    return rhs, jnp.concatenate(own), _twice(rollers.counts, mixed)
+
+
+def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
+    """Rows of g_n and g_t in all unknowns, (pairs, border): their weighed product, and the right-hand side."""
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
     start = rollers.counts[0]

@@ -296,6 +296,25 @@ class Model:
         return table[:, 0], table[:, 1]
 
     @property
+    def pairs_by_roller(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same pairs, each with one movable roller: (movable, partners) the partner, and which pair it is; -1: none.
+
+        Movable ones are partners of the half of all movable rollers that comes before them in a ring, so that rows are about
+        as long.
+        """
+        m, n = self.rollers.n_movable, self.rollers.n
+        number = np.full((n, n), -1)
+        i, j = self.pair_index
+        number[i, j] = number[j, i] = np.arange(len(self.pairs))
+        ahead = (np.arange(m)[:, None] + 1 + np.arange(m // 2)) % max(m, 1)
+        fixed = np.broadcast_to(np.arange(m, n), (m, n - m))
+        partner = np.concatenate([ahead, fixed], axis=1)
+        if m % 2 == 0:  # the one right across the ring is asked by one of the two
+            partner[m // 2 :, m // 2 - 1] = -1
+        which = np.where(partner < 0, -1, number[np.arange(m)[:, None], partner])
+        return partner, which
+
+    @property
     def n_border(self) -> int:
         """Unknowns beside the chain: travels and free spins."""
         return self.rollers.n_movable + self.rollers.n_free

@@ -4,8 +4,11 @@ Unknowns: accelerations of every bar (x, y of its centre and turning), closed at
 of roller travels and free spins, and the reactions of clamps.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 
@@ -24,12 +27,24 @@ class BarTerms(NamedTuple):
 
 
 class Border(NamedTuple):
-    """Rollers beside the chain. `columns` (border, 3, bars), `matrix` (border, border), `rhs` (border,). With the chain
-    it forms one positive matrix."""
+    """Rollers beside the chain. `columns` (border, 3, bars), `rhs` (border,). With the chain they form one positive matrix."""
 
     columns: Array
-    matrix: Array
     rhs: Array
+    own: Array  # (border,) of each unknown
+    mixed: Array  # (border,) between it and its twin
+    twin: (
+        np.ndarray
+    )  # (border,) the other unknown of the same roller; itself where there is none, and then nothing is mixed
+    rest: Callable[
+        [], Array
+    ]  # (border, border) all else: a function, for with many rollers it is dear and seldom needed
+    apart: Array | None  # bool: the rest is zero; None: not asked
+
+    def matrix(self) -> Array:
+        """(border, border)."""
+        eye = np.eye(len(self.twin))
+        return jnp.asarray(eye) * self.own[:, None] + jnp.asarray(eye[self.twin]) * self.mixed[:, None] + self.rest()
 
 
 class Clamped(NamedTuple):

@@ -20,7 +20,7 @@ RANKS = """
     check_records
     paths scene_file schema stacking
     model
-    state system sums
+    state system sums batching
     kinematics bodies
     contact
     crossing

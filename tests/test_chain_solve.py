@@ -24,7 +24,9 @@ def random_system(layout: Layout, seed: int, columns: int, clamps: int = 0) -> S
     if columns:
         square = rng.normal(size=(columns, columns))
         matrix = square @ square.T + 50.0 * n * np.eye(columns)  # heavy enough for the whole to be positive
-        border = Border(*map(jnp.asarray, (rng.normal(size=(columns, 3, n)), matrix, rng.normal(size=columns))))
+        filled, none = jnp.asarray(matrix), jnp.zeros(columns)
+        given = map(jnp.asarray, (rng.normal(size=(columns, 3, n)), rng.normal(size=columns)))
+        border = Border(*given, none, none, np.arange(columns), lambda: filled, None)
     held = Clamped(*map(jnp.asarray, (rng.normal(size=(clamps, 3, n)), rng.normal(size=clamps)))) if clamps else None
     return System(
         bars=BarTerms(*map(jnp.asarray, (*entries, *rng.normal(size=(3, n))))),
@@ -68,7 +70,7 @@ def constrained_solve(system: System, layout: Layout) -> np.ndarray:
     columns, own, more = np.zeros((0, size)), np.zeros((0, 0)), np.zeros(0)
     if system.border is not None:
         columns = np.asarray(system.border.columns).transpose(0, 2, 1).reshape(-1, size)
-        own, more = np.asarray(system.border.matrix), np.asarray(system.border.rhs)
+        own, more = np.asarray(system.border.matrix()), np.asarray(system.border.rhs)
     if system.clamps is not None:
         held = np.asarray(system.clamps.columns).transpose(0, 2, 1).reshape(-1, size)
         columns, more = np.concatenate([columns, held]), np.concatenate([more, np.asarray(system.clamps.rhs)])
@@ -95,6 +97,23 @@ def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, 
     found = chain_solve.solve(system, layout)
     flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border, found.reaction])
     np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("clamps", [0, 2])
+def test_rollers_apart_are_eliminated_one_by_one(monkeypatch, clamps):
+    """Three with one unknown, two with two: as the whole matrix has it."""
+    layout = Layout(("a", "b"), (4, 3))
+    system = random_system(layout, 5, 7, clamps)
+    twin = np.array([0, 4, 5, 3, 1, 2, 6])
+    matrix = system.border.matrix()
+    own, mixed = jnp.diagonal(matrix), jnp.where(twin == np.arange(7), 0.0, matrix[np.arange(7), twin])
+    border = system.border._replace(own=own, mixed=mixed, twin=twin, rest=lambda: jnp.zeros((7, 7)))
+    solve = jax.jit(lambda apart: chain_solve.solve(system._replace(border=border._replace(apart=apart)), layout))
+    monkeypatch.setattr(chain_dense, "APART_FROM", 7)
+    whole, apart = solve(False), solve(True)
+    for a, b in zip(whole, apart, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+    assert any((np.asarray(a) != np.asarray(b)).any() for a, b in zip(whole, apart, strict=True)), "two ways"
 
 
 def test_long_chain_keeps_its_digits():

@@ -22,7 +22,17 @@ from diffeed.candidates import search
 from diffeed.contact import keep_all, sheet_contacts
 from diffeed.forces import Step, pair_terms
 from diffeed.model import NEWTON, build
-from diffeed.parts import ArcGuide, CircleGuide, Contact, LineGuide, Scene, Sheet, normalise
+from diffeed.parts import (
+    ArcGuide,
+    CircleGuide,
+    Contact,
+    FixedRoller,
+    LineGuide,
+    MovableRoller,
+    Scene,
+    Sheet,
+    normalise,
+)
 from diffeed.records import replace
 from diffeed.rollout import _simulate, plan
 from diffeed.snapshot import look
@@ -77,18 +87,74 @@ def test_search_changes_no_run(method, monkeypatch):
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
 
 
-def test_search_among_rollers_changes_no_run(monkeypatch):
-    """Pinches that lie on their drives, and the first of them opened by the sheet."""
-    scene = normalise(replace(transport(nips=8, duration=DURATION), gravity=(0.0, 0.0)))
+@pytest.mark.parametrize(
+    ("path", "backed"),
+    [({"nips": 8}, False), ({"nips": 8}, True), ({"nips": 2, "driven": 16}, False), ({"nips": 8, "bars": 110}, False)],
+)
+def test_search_among_rollers_changes_no_run(path, backed, monkeypatch):
+    """Pinches that lie on their drives, and the first of them opened by the sheet; `backed`: one pressed on by another pinch,
+    and one that lies on an idle roller."""
+    scene = replace(transport(**path, duration=DURATION), gravity=(0.0, 0.0))
+    if backed:
+        one, other = scene.rollers["pinch_4"], scene.rollers["drive_6"]
+        more = {
+            "backup": replace(one, center=(one.center[0], one.center[1] + 2.0 * one.radius - 0.1), spin=3.0),
+            "drive_6": replace(other, surface_speed=None, spin=2.0),
+        }
+        scene = replace(scene, rollers=scene.rollers | more)
+    scene = normalise(scene)
     searched = run(scene, "linear_euler")
     assert searched.ok, searched.failure.describe()
     slots = candidates.slots(build(scene))
     assert slots.pairs is not None
-    assert slots.pairs < 0.5 * len(build(scene).pairs)
+    assert slots.pairs * path["nips"] < 0.5 * len(build(scene).pairs)
     whole = _run_with_every_pair(scene, "linear_euler", monkeypatch)
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
     lying = np.asarray(searched.rollers.block.travel)
     assert np.ptp(lying) > 1e-3
+    if backed:
+        spins = {name: np.asarray(searched.rollers[name].angular_velocity) for name in ("backup", "drive_6")}
+        assert all(np.ptp(v) > 0.01 for v in spins.values()), "they must be felt"
+
+
+def test_many_pinches_have_one_derivative_in_both_modes_and_in_a_batch():
+    """In a batch all take one way: that of rollers which touch each other, if any does."""
+    path = normalise(replace(transport(nips=8, duration=DURATION), gravity=(0.0, 0.0)))
+    pinch = path.rollers["pinch_4"]
+
+    def way(height: jax.Array) -> jax.Array:
+        """mm that the pinch of another nip travels, lowered on it with its own."""
+        over = replace(path.rollers["pinch_5"], center=jnp.stack([jnp.asarray(pinch.center[0]), height]))
+        scene = replace(path, rollers=path.rollers | {"pinch_5": over})
+        found = diffeed.simulate(scene, duration=20 * DT, dt=DT, frames=2)
+        return found.rollers["pinch_4"].travel[-1] + 1e-3 * found.rollers["pinch_4"].angle[-1]
+
+    heights = jnp.asarray([pinch.center[1] + 2.0 * pinch.radius - 0.05, 3.0 * pinch.center[1] + 5.0])
+    slopes = [jax.jit(jax.vmap(mode(way)))(heights) for mode in (jax.grad, jax.jacfwd)]
+    alone = np.array([float(jax.jit(jax.grad(way))(h)) for h in heights])
+    assert abs(alone[0]) > 1e-6
+    assert alone[1] == 0.0, "out of reach"
+    for found in slopes:
+        np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(jax.jit(jax.vmap(way))(heights), [jax.jit(way)(h) for h in heights], rtol=1e-11)
+    eps = 1e-6
+    difference = (jax.jit(way)(heights[0] + eps) - jax.jit(way)(heights[0] - eps)) / (2.0 * eps)
+    np.testing.assert_allclose(alone[0], float(difference), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("movable", "fixed"), [(0, 3), (1, 2), (2, 0), (5, 3), (6, 1)])
+def test_each_pair_of_rollers_belongs_to_one_movable_roller(movable, fixed):
+    rollers = {
+        f"m{k}": MovableRoller(center=(50.0 * k, 0.0), direction=(0, 1), radius=5.0, mass=0.1) for k in range(movable)
+    }
+    rollers |= {f"f{k}": FixedRoller(center=(50.0 * k, -99.0), radius=5.0) for k in range(fixed)}
+    model = build(normalise(replace(transport(), guides={}, rollers=rollers)))
+    partner, which = model.pairs_by_roller
+    found = [(min(i, j), max(i, j)) for i, row in enumerate(partner) for j in row if j >= 0]
+    assert sorted(found) == sorted(model.pairs)
+    assert [model.pairs[p] for p in which.ravel() if p >= 0] == found
+    rows = np.sum(which >= 0, axis=1)
+    assert np.ptp(rows) <= 1 if movable else rows.size == 0
 
 
 def test_search_among_the_bodies_close_by_changes_no_run(monkeypatch):
