@@ -1,6 +1,7 @@
 """A tolerance study end to end on a small scene: known answers, the same rows however they are run, nothing lost."""
 
 import contextlib
+import io
 import json
 import os
 import subprocess
@@ -8,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy import stats
 from stand_in_nip import nip
 from test_optimize_cli import ROOT
@@ -21,6 +23,7 @@ from optimize.tolerance.folder import Folder, FolderError, read_rows
 from optimize.tolerance.latitude import latitude
 from optimize.tolerance.problem import load_tolerance, make_tolerance
 from optimize.tolerance.replay import replay
+from optimize.tolerance.report import print_summary
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise
 
@@ -75,10 +78,14 @@ def test_a_known_share_breaks_its_limit():
     nominal = found.values[np.argmin(np.abs(found.deviation).sum(axis=1)), 1]
     slope = np.polyfit(found.deviation[:, 0], found.values[:, 1], 1)[0]
     expected = stats.norm.sf((3.128 - nominal) / (0.1 * slope))
-    share = summarise(study, found)["fails"]["force above 3.128"]
+    summary = summarise(study, found)
+    share = summary["fails"]["force above 3.128"]
     assert share["value"] == pytest.approx(expected, abs=0.01)
     assert share["low"] < expected < share["high"]
     assert share["value"] > 0.05
+    screen = Console(file=io.StringIO(), width=120)
+    print_summary(screen, summary)
+    assert "those of sobol mostly scatter less" in screen.file.getvalue()
 
 
 @pytest.mark.slow

@@ -41,6 +41,8 @@ def print_summary(console: "Console", summary: dict[str, Any], before: dict[str,
         interval = f"{_percent(way['low'])} to {_percent(way['high'])}"
         table.add_row(name, str(way["count"]), _percent(way["value"]), interval, *was, some)
     console.print(table)
+    if summary["sampling"] != "plain":
+        console.print(f"intervals are exact for plain draws; those of {summary['sampling']} mostly scatter less")
     console.print()
     table = plain_table("measure", "unit", "mean", "std", "1 %", "50 %", "99 %", "Cp", "Cpk", words=("unit",))
     for name, m in summary["measures"].items():
