@@ -27,24 +27,25 @@ class BarTerms(NamedTuple):
 
 
 class Border(NamedTuple):
-    """Rollers beside the chain. `columns` (border, 3, bars), `rhs` (border,). With the chain they form one positive matrix."""
+    """Rollers beside the chain: their travels, then their free spins. With the chain they form one positive matrix.
 
-    columns: Array
-    rhs: Array
+    `twin` (border,) is the other unknown of the same roller, or itself where there is none; nothing is mixed there. `rest` is a
+    function, for with many rollers it is dear and seldom needed. `apart` says that the rest is zero; None: not asked.
+    """
+
+    columns: Array  # (border, 3, bars) with the bars
+    rhs: Array  # (border,)
     own: Array  # (border,) of each unknown
-    mixed: Array  # (border,) between it and its twin
-    twin: (
-        np.ndarray
-    )  # (border,) the other unknown of the same roller; itself where there is none, and then nothing is mixed
-    rest: Callable[
-        [], Array
-    ]  # (border, border) all else: a function, for with many rollers it is dear and seldom needed
-    apart: Array | None  # bool: the rest is zero; None: not asked
+    mixed: Array  # (border,) with its twin
+    twin: np.ndarray
+    rest: Callable[[], Array]  # (border, border) between rollers
+    apart: Array | None
 
     def matrix(self) -> Array:
         """(border, border)."""
         eye = np.eye(len(self.twin))
-        return jnp.asarray(eye) * self.own[:, None] + jnp.asarray(eye[self.twin]) * self.mixed[:, None] + self.rest()
+        own, twin = (jnp.asarray(place, self.own.dtype) for place in (eye, eye[self.twin]))
+        return own * self.own[:, None] + twin * self.mixed[:, None] + self.rest()
 
 
 class Clamped(NamedTuple):
