@@ -14,6 +14,7 @@ from diffeed.contact_law import BRISTLE_LAG
 from diffeed.crossing import guides_crossed
 from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
+from diffeed.packing import jit_of_scene
 from diffeed.parts import Scene, normalise
 from diffeed.records import replace
 from diffeed.rollout import STEP
@@ -80,7 +81,7 @@ class Prepared(NamedTuple):
     across: Array  # (lines + arcs,) bool: a bar lies across the guide at the start as written
 
 
-@jax.jit
+@jit_of_scene
 def prepare(scene: Scene) -> Prepared:
     """A normalised scene, settled if it says so: one program, which `check` and the runs of the command line share."""
     model = build(scene)

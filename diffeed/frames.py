@@ -9,6 +9,7 @@ from diffeed.contact import heading
 from diffeed.energy import Energies, energies
 from diffeed.model import build
 from diffeed.observe import commanded_speed
+from diffeed.packing import jit_of_scene
 from diffeed.parts import Scene
 from diffeed.snapshot import look
 from diffeed.state import State, mean_per_sheet
@@ -22,7 +23,7 @@ class Motion(NamedTuple):
     wanted: Array  # (sheets,) mm/s: what its driven rollers command
 
 
-@jax.jit
+@jit_of_scene
 def motion(scene: Scene, states: State) -> Motion:
     """Energies and speeds of a normalised scene."""
     model = build(scene)
@@ -43,7 +44,7 @@ class Approach(NamedTuple):
     weight: Array  # 0..1: share of the contact that the pair carries
 
 
-@jax.jit
+@jit_of_scene
 def approach(scene: Scene, states: State) -> Approach:
     """How every bar stands to every body of a normalised scene."""
     model = build(scene)

@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.contact_law import Surface
+from diffeed.packing import stacked
 from diffeed.parts import (
     ArcGuide,
     CircleGuide,
@@ -359,14 +360,9 @@ def _named(parts: dict[str, Any], kind: type) -> list[tuple[str, Any]]:
     return [(name, parts[name]) for name in sorted(parts) if isinstance(parts[name], kind)]
 
 
-def _stack(values: Sequence[Any]) -> Array:
-    """(n,) array of scalars; an empty one for none."""
-    return jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in values]) if values else jnp.zeros((0,))
-
-
 def _columns(values: Sequence[Any]) -> tuple[Array, Array]:
-    """x and y, (n,) each, of points. Every operation on one part alone is compiled for every part: so few as may be."""
-    points = jnp.stack(values) if values else jnp.zeros((0, 2))
+    """x and y, (n,) each, of points."""
+    points = stacked(values, (2,))
     return points[:, 0], points[:, 1]
 
 
@@ -428,7 +424,7 @@ def _rollers(scene: Scene) -> tuple[Rollers, list[tuple[str, Any]]]:
     free = [p[1] for p in groups[1] + groups[2]]
     (x, y), ways = _columns([r.center for _, r in parts]), _columns([r.direction for r in moving])
     long = jnp.sqrt(ways[0] ** 2 + ways[1] ** 2)
-    radius = _stack([r.radius for _, r in parts])
+    radius = stacked([r.radius for _, r in parts])
     low = [-jnp.inf if r.travel_min is None else r.travel_min for r in moving]
     high = [jnp.inf if r.travel_max is None else r.travel_max for r in moving]
     rollers = Rollers(
@@ -437,17 +433,17 @@ def _rollers(scene: Scene) -> tuple[Rollers, list[tuple[str, Any]]]:
         radius=radius,
         dir_x=ways[0] / long,
         dir_y=ways[1] / long,
-        mass=_stack([r.mass for r in moving]),
-        spring=NEWTON * _stack([r.spring for r in moving]),
-        preload=NEWTON * _stack([r.preload for r in moving]),
-        damper=NEWTON * _stack([r.damper for r in moving]),
-        stop_low=_stack(low),
-        stop_high=_stack(high),
-        stop_stiffness=NEWTON * _stack([r.stop_stiffness for r in moving]),
-        inertia=_stack([r.inertia for r in free]),
-        drag=NEWTON * _stack([r.bearing_drag for r in free]),
-        travel=_stack([r.travel for r in moving]),
-        spin=_stack([r.spin for r in free]),
+        mass=stacked([r.mass for r in moving]),
+        spring=NEWTON * stacked([r.spring for r in moving]),
+        preload=NEWTON * stacked([r.preload for r in moving]),
+        damper=NEWTON * stacked([r.damper for r in moving]),
+        stop_low=stacked(low),
+        stop_high=stacked(high),
+        stop_stiffness=NEWTON * stacked([r.stop_stiffness for r in moving]),
+        inertia=stacked([r.inertia for r in free]),
+        drag=NEWTON * stacked([r.bearing_drag for r in free]),
+        travel=stacked([r.travel for r in moving]),
+        spin=stacked([r.spin for r in free]),
         drives=(
             _drives([r for _, r in groups[0]], radius[: len(groups[0])]),
             _drives([r for _, r in groups[3]], radius[len(parts) - len(groups[3]) :]),
@@ -463,9 +459,9 @@ def _drives(rollers: list[Any], radius: Array) -> Drives:
     given = [r.angular_speed if r.angular_speed is not None else r.surface_speed for r in rollers]
     of_surface = np.array([r.angular_speed is None for r in rollers], dtype=bool)
     if not any(isinstance(g, Profile) for g in given):
-        times, values = np.zeros((len(rollers), 1)), _stack(given)[:, None]
+        times, values = np.zeros((len(rollers), 1)), stacked(given)[:, None]
     else:
-        both = [(g.times, g.values) if isinstance(g, Profile) else (jnp.zeros((1,)), g[None]) for g in given]
+        both = [(g.times, g.values) if isinstance(g, Profile) else (jnp.zeros((1,)), stacked([g])) for g in given]
         points = max(t.shape[0] for t, _ in both)
         times, values = (jnp.stack([_pad(p[k], points) for p in both]) for k in (0, 1))
     return Drives(
@@ -486,18 +482,18 @@ def _lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, Ar
     length = jnp.sqrt((ex - sx) ** 2 + (ey - sy) ** 2)
     tx, ty = (ex - sx) / length, (ey - sy) / length
     cx, cy = _columns([g.center for _, g in arcs])
-    radius = _stack([g.radius for _, g in arcs])
-    start, sweep = (jnp.deg2rad(_stack([getattr(g, f) for _, g in arcs])) for f in ("start_angle", "sweep"))
-    side = _stack([1.0 if g.side == "inside" else -1.0 for _, g in arcs])
+    radius = stacked([g.radius for _, g in arcs])
+    start, sweep = (jnp.deg2rad(stacked([getattr(g, f) for _, g in arcs])) for f in ("start_angle", "sweep"))
+    side = stacked([1.0 if g.side == "inside" else -1.0 for _, g in arcs])
     # The ends of an arc in the order of increasing angle, so that a clockwise sweep is the same arc.
     low, high = start + jnp.minimum(sweep, 0.0), start + jnp.maximum(sweep, 0.0)
     ends = [(sx, sy), (ex, ey)] + [(cx + radius * jnp.cos(a), cy + radius * jnp.sin(a)) for a in (low, high)]
     joined = _joined(ends)
-    line_tip, arc_tip = (_stack([g.tip_radius for _, g in guides]) for guides in (lines, arcs))
+    line_tip, arc_tip = (stacked([g.tip_radius for _, g in guides]) for guides in (lines, arcs))
     normals = [(-ty, tx)] * 2 + [(-side * jnp.cos(a), -side * jnp.sin(a)) for a in (low, high)]
 
     def face(guides: list[Any], tip: Array, k: int) -> Face:
-        depth = _stack([g.depth for _, g in guides])
+        depth = stacked([g.depth for _, g in guides])
         # A tip circle is set back behind the face by its radius, so that it is tangent to the face at the end.
         tips = [(ends[j][0] - tip * normals[j][0], ends[j][1] - tip * normals[j][1]) for j in (k, k + 1)]
         return Face(depth, tip, (tips[0][0], tips[1][0]), (tips[0][1], tips[1][1]), (joined[k], joined[k + 1]))
@@ -544,7 +540,7 @@ def _circles(
         x=jnp.concatenate([zeros, x, *[f.tip_x[e] for _, _, f, e in tips]]),
         y=jnp.concatenate([zeros, y, *[f.tip_y[e] for _, _, f, e in tips]]),
         radius=jnp.concatenate(
-            [roller_set.radius, _stack([p.radius for _, p in guides]), *[f.tip_radius for _, _, f, _ in tips]]
+            [roller_set.radius, stacked([p.radius for _, p in guides]), *[f.tip_radius for _, _, f, _ in tips]]
         ),
         active=jnp.concatenate([jnp.ones((len(rollers) + len(guides),)), *[1.0 - f.joined[e] for _, _, f, e in tips]]),
         tip_of=tuple((family, k, end) for family, parts, _, end in tips for k in range(len(parts))),
@@ -558,7 +554,7 @@ def _circles(
 def _surface(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
     once = {id(part): part for _, part in parts}  # a guide owns its tips too
     place = {key: k for k, key in enumerate(once)}
-    friction = _stack([part.friction for part in once.values()])[np.array([place[id(p)] for _, p in parts], dtype=int)]
+    friction = stacked([part.friction for part in once.values()])[np.array([place[id(p)] for _, p in parts], dtype=int)]
     return _surface_of(scene, [p.contact for _, p in parts], friction, tuple(name for name, _ in parts))
 
 
@@ -567,7 +563,7 @@ def _pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tup
 
     They never stick: each turns freely or drives the other, and what they carry tangentially is a bearing's drag.
     """
-    each, index = _stack([r.friction for _, r in rollers]), np.array(pairs, dtype=int).reshape(-1, 2)
+    each, index = stacked([r.friction for _, r in rollers]), np.array(pairs, dtype=int).reshape(-1, 2)
     friction = jnp.minimum(each[index[:, 0]], each[index[:, 1]])
     names = tuple(f"{rollers[i][0]}+{rollers[j][0]}" for i, j in pairs)
     return _surface_of(scene, [rollers[i][1].contact for i, _ in pairs], friction, names, can_stick=False)
@@ -585,7 +581,7 @@ def _surface_of(
     contacts = [scene.contacts[name] for name in known]
 
     def per_body(values: list[Any]) -> Array:
-        return _stack(values)[index]
+        return stacked(values)[index]
 
     used = [contacts[k] for k in sorted(set(index.tolist()))]
     excess = None

@@ -346,7 +346,11 @@ def _normalise_number(value: Any) -> Any:
     if isinstance(value, Profile):
         return _normalise_record(value)
     if isinstance(value, (jax.Array, np.ndarray, float, int)):
-        return jnp.asarray(value, dtype=jnp.result_type(float))
+        dtype = jnp.result_type(float)
+        if isinstance(value, jax.Array) and value.dtype == dtype and not value.weak_type:
+            return value
+        with jax.ensure_compile_time_eval():  # what is known stays known inside a trace
+            return jnp.asarray(value, dtype)
     if isinstance(value, (list, tuple)):
         return jnp.stack([_normalise_number(v) for v in value])
     # Anything else is a stand-in that JAX itself put there (a sentinel of tree_map, a ShapeDtypeStruct).

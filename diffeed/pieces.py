@@ -1,6 +1,5 @@
 """A run in pieces of simulated time, one compiled program for all of them: to show how far it is, and to stop early."""
 
-import functools
 import math
 from collections.abc import Iterator
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from diffeed.examine import prepare
 from diffeed.model import Model
+from diffeed.packing import jit_of_scene
 from diffeed.parts import Scene, normalise
 from diffeed.progress import begin
 from diffeed.records import replace
@@ -44,7 +44,7 @@ def run_in_pieces(
     scene = normalise(scene)
     count = count_pieces(frames)
     start = prepare(scene)
-    resume = _start(start.model, scene, start.state, tuple(sorted(observe)))
+    resume = _start(scene, start.model, start.state, tuple(sorted(observe)))
     for _ in range(count):
         piece = simulate(
             scene, scene.duration / count, dt, (frames - 1) // count + 1, method,
@@ -64,8 +64,8 @@ def cut_at_failure(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, **{name: jax.tree.map(lambda v: v[:count], getattr(trajectory, name)) for name in names})
 
 
-@functools.partial(jax.jit, static_argnames="observe")
-def _start(model: Model, scene: Scene, state: State, observe: tuple[str, ...]) -> Resume:
+@jit_of_scene(static_argnames=("observe",))
+def _start(scene: Scene, model: Model, state: State, observe: tuple[str, ...]) -> Resume:
     """What a first piece goes on from, of the same types as what later ones do: so that all are one program."""
     resume = Resume(**begin(model, scene, state, observe)._asdict())
     return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), resume)  # no weak types

@@ -1,6 +1,5 @@
 """`simulate`: a pure function from a scene to a trajectory. Steps are scanned, checkpointed, and frames looked at after."""
 
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from diffeed.faults import severity
 from diffeed.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
+from diffeed.packing import bare, jit_of_scene
 from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.progress import Progress, begin, entering, recomputed, searched, taken
 from diffeed.records import replace
@@ -136,12 +136,12 @@ def refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) ->
         raise ValueError(f"most_steps must be at most {MAX_STEPS:,}, but is {most_steps:,}")
 
 
-@functools.partial(jax.jit, static_argnames=("counts", "method", "observe"))
+@jit_of_scene(static_argnames=("counts", "method", "observe"))
 def _simulate(
     scene: Scene, dt: Any, initial: State | Resume | None, counts: Plan, method: str, observe: tuple[str, ...]
 ) -> Trajectory:
     """Steps of one length."""
-    model = build(scene)
+    model, scene = build(scene), bare(scene)
     h = jnp.asarray(dt, scene.gravity.dtype)
     first = begin(model, scene, initial, observe)
 
@@ -174,12 +174,12 @@ def _simulate(
     return _trajectory(model, scene, last, states, h, jnp.asarray(counts.total), observe)
 
 
-@functools.partial(jax.jit, static_argnames=("control",))
+@jit_of_scene(static_argnames=("control",))
 def _simulate_to(
     scene: Scene, limits: error_control.Limits, initial: State | Resume | None, control: error_control.Control
 ) -> Trajectory:
     """Steps as long as a tolerance allows."""
-    model = build(scene)
+    model, scene = build(scene), bare(scene)
     limits = error_control.Limits(*(jnp.asarray(v, scene.gravity.dtype) for v in limits))
     first = begin(model, scene, initial, control.observe)
     last, states, count = error_control.run(control, limits, model, scene, first)

@@ -32,6 +32,7 @@ from diffeed.forces import (
 )
 from diffeed.kinematics import nodes, pose
 from diffeed.model import Drives, Hold, Model, Path, build
+from diffeed.packing import jit_of_scene
 from diffeed.parts import Scene, normalise, warn_if_single
 from diffeed.records import record, replace, word
 from diffeed.smooth import divide
@@ -176,7 +177,7 @@ def settle(scene: Scene, near: State | None = None) -> State:
     return _settle(scene, near)
 
 
-@jax.jit
+@jit_of_scene
 def _settle(scene: Scene, near: State | None) -> State:
     model = build(scene)
     state, converged = settle_model(model, initial_state(model, scene), near)
@@ -438,7 +439,7 @@ def linearise(scene: Scene, state: State) -> Linearisation:
     return _linearise(normalise(scene), state)
 
 
-@jax.jit
+@jit_of_scene
 def _linearise(scene: Scene, state: State) -> Linearisation:
     model = build(scene)
     state = stick.fitted(model, state)

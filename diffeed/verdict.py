@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.frames import approach, motion
+from diffeed.frames import Motion, approach, motion
 from diffeed.margin import FOLDED
 from diffeed.model import build, is_driven
-from diffeed.parts import Scene, normalise
+from diffeed.packing import jit_of_scene, stacked
+from diffeed.parts import LineGuide, Scene, normalise
 from diffeed.trajectory import Trajectory
 
 STATUSES = ("passed", "late", "jammed", "failed")
@@ -53,7 +54,7 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
         failure = trajectory.failure
         return Verdict("failed", failure.describe(), float(failure.time), "")
     scene = normalise(scene)
-    found = jax.device_get(_outcome(scene, trajectory))
+    found = jax.device_get(_outcome(scene, trajectory, motion(scene, trajectory.states)))
     name, reason = sorted(scene.sheets)[int(found.sheet)], int(found.reason)
     text = {
         REACHED: f"the tail of {name} passed {scene.goal}",
@@ -71,12 +72,12 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
 
 def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
     """The same judgement as numbers, inside a trace too."""
-    return _outcome(normalise(scene), trajectory)
+    scene = normalise(scene)
+    return _outcome(scene, trajectory, motion(scene, trajectory.states))
 
 
-@jax.jit
-def _outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
-    seen = motion(scene, trajectory.states)
+@jit_of_scene
+def _outcome(scene: Scene, trajectory: Trajectory, seen: Motion) -> Outcome:
     names = sorted(scene.sheets)
     each = [_judge(scene, trajectory, n, seen.speed[:, k], seen.wanted[:, k], k) for k, n in enumerate(names)]
     both: Outcome = jax.tree.map(lambda *v: jnp.stack(v), *each)
@@ -143,10 +144,10 @@ def _is_folded(headings: Array) -> Array:
 def _has_strayed(scene: Scene, nodes: Array) -> Array:
     """(frames,) bool."""
     corners = _corners(scene)
-    if not corners:
+    if not len(corners):
         return jnp.zeros(nodes.shape[0], bool)
     # A sheet that starts outside the parts (on a table that is not modelled) has not strayed there.
-    points = jnp.concatenate([jnp.stack(corners), nodes[0]])
+    points = jnp.concatenate([corners, nodes[0]])
     low, high = jnp.min(points, axis=0) - STRAYED, jnp.max(points, axis=0) + STRAYED
     length = jnp.sqrt(jnp.sum((nodes[0, 0] - nodes[0, -1]) ** 2))
     lead = nodes[:, 0]
@@ -155,15 +156,13 @@ def _has_strayed(scene: Scene, nodes: Array) -> Array:
     return out | (jnp.max(nodes[:, :, 1], axis=1) < low[1])
 
 
-def _corners(scene: Scene) -> list[Array]:
-    """Corners of the boxes around all rollers and guides."""
-    found = []
-    for part in (*scene.rollers.values(), *scene.guides.values()):
-        if hasattr(part, "start"):
-            found += [part.start, part.end]
-        else:
-            found += [part.center - part.radius, part.center + part.radius]
-    return [jnp.asarray(v) for v in found]
+def _corners(scene: Scene) -> Array:
+    """(corners, 2) of the boxes around all rollers and guides."""
+    parts = (*scene.rollers.values(), *scene.guides.values())
+    lines, rounds = ([p for p in parts if isinstance(p, LineGuide) == is_line] for is_line in (True, False))
+    ends = [stacked([getattr(p, end) for p in lines], (2,)) for end in ("start", "end")]
+    center, radius = stacked([p.center for p in rounds], (2,)), stacked([p.radius for p in rounds])[:, None]
+    return jnp.concatenate([*ends, center - radius, center + radius])
 
 
 def _stalled_since(speed: Array, wanted: Array) -> Array:

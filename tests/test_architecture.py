@@ -14,7 +14,7 @@ PACKAGE = ROOT / "diffeed"
 RANKS = """
     words names record_html records tuning files folders terminal toml_text limits smooth once causes
     shapes skin contact_law
-    parts
+    parts packing
     check_values
     check_rules
     check_records

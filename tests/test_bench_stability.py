@@ -97,10 +97,10 @@ NOTHING = Doubted(np.zeros((2, stability.FRAMES, 6, 2)), np.zeros(2))
 def test_rows_say_what_became_of_a_run(batch):
     nodes = np.zeros((2, stability.FRAMES, 6, 2))
     nodes[0, -1, 0, 0] = 7.0
-    rows = list(batch.rows("midpoint", 1e-3, Paths(nodes, np.array([0, TOO_FAST])), NOTHING))
-    assert [(r["became"], r["refused"], r["error_mm"], r["cause"]) for r in rows] == [
-        ("wrong", False, 7.0, ""),
-        ("failed", False, None, CAUSES[TOO_FAST]),
+    rows = list(batch.rows("midpoint", 1e-3, Paths(nodes, np.array([0, TOO_FAST]), np.array([4.0, 5.0])), NOTHING))
+    assert [(r["became"], r["refused"], r["error_mm"], r["told_mm"], r["cause"]) for r in rows] == [
+        ("wrong", False, 7.0, 4.0, ""),
+        ("failed", False, None, None, CAUSES[TOO_FAST]),
     ]
 
 
@@ -114,15 +114,19 @@ def made_up() -> list[dict]:
                 found.append({
                     "method": method, "axis": axis, "value": AXES[axis].values[k % 3], "size": size, "became": became,
                     "refused": limit is not None and size > limit, "error_mm": 7.0 if became == "wrong" else None,
-                    "doubt_mm": 0.01, "cause": CAUSES[TOO_FAST] if became == "failed" else "", "limit_s": limit,
+                    "told_mm": 2.0 + k, "doubt_mm": 0.01, "cause": CAUSES[TOO_FAST] if became == "failed" else "",
+                    "limit_s": limit,
                 })  # fmt: skip
     return found
 
 
 def test_what_is_wrong_without_a_word_is_counted_and_named():
     said = report.wrong_runs(made_up())
-    assert "4 runs are plainly wrong and say that they hold" in said[0]
+    assert "4 runs are plainly wrong and yet hold:" in said[0]
     assert any("runge_kutta, sheet tension" in line and "1 refused" in line and "7.00 mm" in line for line in said)
+    assert all("told 4.00 mm and more" in line for line in said[1:])
+    first = next(r for r in made_up() if r["became"] == "wrong")
+    assert "1 run is plainly wrong and yet holds:" in report.wrong_runs([first])[0]
     assert "No run is plainly wrong" in report.wrong_runs([r for r in made_up() if r["became"] != "wrong"])[0]
 
 

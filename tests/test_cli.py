@@ -472,10 +472,10 @@ def test_all_pieces_are_one_program(tmp_path):
 
     (tmp_path / "mini.toml").write_text(MINI)
     scene = diffeed.load_scene(tmp_path / "mini.toml")
-    before = _simulate._cache_size()
+    before = _simulate.program._cache_size()
     found = list(pieces.run_in_pieces(scene, 1e-3, 4, "linear_euler", report.OBSERVE))
     assert len(found) == 3
-    assert _simulate._cache_size() == before + 1
+    assert _simulate.program._cache_size() == before + 1
 
 
 def test_without_a_place_for_a_cache_the_run_goes_on(tmp_path, monkeypatch):

@@ -218,18 +218,21 @@ def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
 
 
 def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
-    """Runs that are plainly wrong and yet say that they hold: a line for each stepper and number."""
+    """Runs that are plainly wrong and yet say that they hold: a line for each stepper and number, with the error that they
+    tell of themselves."""
     wrong: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for r in rows:
         if r["became"] == "wrong":
             wrong.setdefault((r["method"], r["axis"]), []).append(r)
     if not wrong:
         return ["\nNo run is plainly wrong without saying so."]
-    found = [f"\n{sum(map(len, wrong.values()))} runs are plainly wrong and say that they hold:"]
+    count = sum(map(len, wrong.values()))
+    found = [f"\n{count} run{' is' if count == 1 else 's are'} plainly wrong and yet hold{'s' * (count == 1)}:"]
     for (method, axis), own in wrong.items():
         errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
         worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"
-        refused = sum(r["refused"] for r in own)
+        refused, told = sum(r["refused"] for r in own), [r["told_mm"] for r in own if r["told_mm"] is not None]
+        worst += f", told {digits(min(told))} mm and more" if told else ""
         found.append(
             f"  {method}, {_named(axis, _range(own, 'value'))}, at {_range(own, 'size')} "
             f"{'mm' if method == CONTROLLED else 's'}: {len(own)} ({worst}{f', {refused} refused' if refused else ''})"

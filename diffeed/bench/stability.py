@@ -55,10 +55,12 @@ class Case(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """What a batch of runs came to: nodes (cases, frames, nodes, 2), and causes of failure (0: none)."""
+    """What a batch of runs came to: nodes (cases, frames, nodes, 2), causes of failure (0: none), and errors that the runs
+    tell of themselves (mm)."""
 
     nodes: np.ndarray
     cause: np.ndarray
+    told: np.ndarray
 
 
 class Doubted(NamedTuple):
@@ -144,12 +146,11 @@ class Batch:
             for _ in range(per_frame // piece):
                 now, nodes = _piece(self.scenes, now, dt, piece, method)
             found.append(np.asarray(nodes))
-        return Paths(np.stack(found, axis=1), np.asarray(now.cause))
+        return Paths(np.stack(found, axis=1), np.asarray(now.cause), np.asarray(now.error))
 
     def run_to(self, tolerance: float) -> Paths:
         """All cases by steps of an error."""
-        nodes, cause = _controlled(self.scenes, self.starts, tolerance)
-        return Paths(np.asarray(nodes), np.asarray(cause))
+        return Paths(*map(np.asarray, _controlled(self.scenes, self.starts, tolerance)))
 
     def reference(self, dt: float) -> Doubted:
         """The finest run."""
@@ -164,6 +165,7 @@ class Batch:
         errors = apart(found.nodes, reference.nodes)
         for k, case in enumerate(self.cases):
             cause, error, doubt = int(found.cause[k]), float(errors[k]), float(reference.doubt[k])
+            told = float(found.told[k])
             limit = None if limits is None else limits[k]
             yield {
                 "method": method,
@@ -173,6 +175,7 @@ class Batch:
                 "became": judge(cause == 0, error, doubt),
                 "refused": limit is not None and size > limit,
                 "error_mm": error if np.isfinite(error) and cause == 0 else None,
+                "told_mm": told if np.isfinite(told) and cause == 0 else None,
                 "doubt_mm": doubt if np.isfinite(doubt) else None,
                 "cause": CAUSES[cause],
                 "limit_s": limit,
@@ -221,11 +224,11 @@ def _piece(scenes: Scene, starts: Resume, dt: Any, steps: int, method: str) -> t
 
 
 @jax.jit
-def _controlled(scenes: Scene, starts: Resume, tolerance: Any) -> tuple[Any, Any]:
-    def one(scene: Scene, start: Resume) -> tuple[Any, Any]:
+def _controlled(scenes: Scene, starts: Resume, tolerance: Any) -> tuple[Any, Any, Any]:
+    def one(scene: Scene, start: Resume) -> tuple[Any, Any, Any]:
         run = simulate(
             scene, FRAME * FRAMES, frames=FRAMES + 1, initial=start, tolerance=tolerance, most_steps=MOST_STEPS
         )
-        return run.sheets["sheet"].nodes[1:], run.failure.cause
+        return run.sheets["sheet"].nodes[1:], run.failure.cause, run.error
 
     return jax.vmap(one)(scenes, starts)
