@@ -40,10 +40,14 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
         below = jnp.concatenate([gathered[k:], matrix], axis=1)
         return solve_positive(lower(below), jnp.concatenate(right, axis=1).T).T
 
+    def each() -> Array:
+        assert beside is not None
+        return _by_rollers(lower(gathered[:0]), gathered[k:], beside, right)
+
     if beside is None or beside.apart is None or columns.shape[0] < APART_FROM:
         found = whole()
     else:
-        found = lax.cond(beside.apart, lambda: _by_rollers(lower(gathered[:0]), gathered[k:], beside, right), whole)
+        found = each() if beside.apart is True else lax.cond(beside.apart, each, whole)
     lead_x, lead_y, w, rest = jnp.split(found, (n_sheets, 2 * n_sheets, 2 * n_sheets + layout.n_bars), axis=1)
     turned = _centres(layout, jnp.concatenate([system.lever_x[None] * w, system.lever_y[None] * w]))
     x, y = turned[:k] + lead_x[:, layout.sheet_of_bar], turned[k:] + lead_y[:, layout.sheet_of_bar]

@@ -276,7 +276,7 @@ def border(model: Model, state: State, touching: Contacts, step: Step, kept: Kep
     twin[travel], twin[spin] = spin, travel
     own, mixed = jnp.concatenate([travel_diag, spin_diag]), jnp.zeros((m + f,))
     rhs, columns = jnp.concatenate([travel_force, spin_force]), jnp.zeros((m + f, 3, n_bars))
-    beside = Border(columns, rhs, own, mixed, twin, lambda: jnp.zeros((m + f, m + f)), jnp.asarray(True))
+    beside = Border(columns, rhs, own, mixed, twin, lambda: jnp.zeros((m + f, m + f)), True)
     if touching.sheets is not None and m + f:
         beside = _sheet_on_rollers(model, touching.sheets, step, kept, beside)
     if touching.rollers is not None:

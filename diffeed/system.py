@@ -30,7 +30,8 @@ class Border(NamedTuple):
     """Rollers beside the chain: their travels, then their free spins. With the chain they form one positive matrix.
 
     `twin` (border,) is the other unknown of the same roller, or itself where there is none; nothing is mixed there. `rest` is a
-    function, for with many rollers it is dear and seldom needed. `apart` says that the rest is zero; None: not asked.
+    function, for with many rollers it is dear and seldom needed. `apart` says that the rest is zero; True: it always is;
+    None: not asked.
     """
 
     columns: Array  # (border, 3, bars) with the bars
@@ -39,7 +40,7 @@ class Border(NamedTuple):
     mixed: Array  # (border,) with its twin
     twin: np.ndarray
     rest: Callable[[], Array]  # (border, border) between rollers
-    apart: Array | None
+    apart: Array | bool | None
 
     def matrix(self) -> Array:
         """(border, border)."""

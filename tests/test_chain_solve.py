@@ -5,8 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import diffeed
 from diffeed import chain_dense, chain_elimination, chain_solve
+from diffeed.bench.jaxprs import operations
 from diffeed.model import Layout
+from diffeed.parts import FixedRoller, Scene, Sheet, normalise
 from diffeed.system import BarTerms, Border, Clamped, System
 
 
@@ -114,6 +117,22 @@ def test_rollers_apart_are_eliminated_one_by_one(monkeypatch, clamps):
     for a, b in zip(whole, apart, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
     assert any((np.asarray(a) != np.asarray(b)).any() for a, b in zip(whole, apart, strict=True)), "two ways"
+    known = chain_solve.solve(system._replace(border=border._replace(apart=True)), layout)
+    for a, b in zip(known, apart, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+def test_rollers_that_never_meet_cost_no_choice():
+    """Idle rollers on fixed shafts: no pair of them, so that one way is compiled."""
+
+    def choices(rollers: dict) -> int:
+        strip = Sheet(length=50.0, thickness=0.1, width=50.0, density=8e-7, youngs_modulus=3e3, bars=4)
+        scene = Scene(sheets={"strip": strip}, rollers=rollers, initial="given")
+        return list(operations(lambda s: diffeed.simulate(s, 2e-4, 1e-4, 2), normalise(scene))).count("cond")
+
+    idle = {f"idle_{k}": FixedRoller(center=(30.0 * k, -10.0), radius=5.0) for k in range(16)}
+    few = {name: idle[name] for name in sorted(idle)[:15]}
+    assert choices(idle) == choices(few)
 
 
 def test_long_chain_keeps_its_digits():
