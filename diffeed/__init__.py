@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffeed import measures
+    from diffeed.agreement import Confirmation, confirm
     from diffeed.causes import CAUSES
     from diffeed.check_records import SceneError
     from diffeed.check_records import make_scene as scene
@@ -51,6 +52,7 @@ __all__ = [
     "ArcGuide",
     "CircleGuide",
     "Clamp",
+    "Confirmation",
     "Contact",
     "FixedRoller",
     "GradientCheck",
@@ -70,6 +72,7 @@ __all__ = [
     "Trajectory",
     "check",
     "check_function",
+    "confirm",
     "explain_gradient",
     "get",
     "gradient_check",
@@ -92,6 +95,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "agreement": ("Confirmation", "confirm"),
     "causes": ("CAUSES",),
     "check_records": ("SceneError",),
     "examine": ("check",),

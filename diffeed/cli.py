@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from diffeed.session import (
 from diffeed.terminal import SETTINGS, console, hand_out, refusing
 
 if TYPE_CHECKING:
+    from diffeed.agreement import Confirmation
     from diffeed.earlier import Earlier
     from diffeed.parts import Scene
     from diffeed.trajectory import Trajectory
@@ -47,6 +48,15 @@ class Request:
     before: Path | None
     force: bool
     float32: bool
+    confirm: bool
+
+    def finer(self, dt: float) -> "Request":
+        """The same with shorter steps than this length, or a smaller tolerance."""
+        from diffeed.agreement import FINER
+
+        if self.tolerance is not None:
+            return replace(self, tolerance=self.tolerance / FINER)
+        return replace(self, dt=dt / FINER)
 
 
 @dataclass
@@ -81,10 +91,10 @@ Examples:
   diffeed run film_feeder --out first
   diffeed run film_feeder --set rollers.drive_1.radius=10.2 --out second --before first
   diffeed run my_machine.toml --duration 0.5 --dt 5e-5 --out fine --force
-  diffeed run my_machine.toml --tolerance 0.01
+  diffeed run my_machine.toml --tolerance 0.01 --confirm
 \b
 Exit status: 0 the run was computed (passed, late or jammed: see the first line),
-1 the computation failed, 2 nothing was run or the files could not be written,
+1 the computation failed or was not confirmed, 2 nothing was run or the files could not be written,
 130 stopped by Ctrl-C.
 """,
 )
@@ -111,6 +121,7 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 )
 @click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
 @click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
+@click.option("--confirm", is_flag=True, help="Run again with steps 4 times shorter, and say whether the runs agree.")
 def run(**arguments: Any) -> None:
     """Run SCENE, a shipped scene's name (see `diffeed scenes`) or a TOML file, and report how the sheet ran."""
     with stoppable():
@@ -204,7 +215,7 @@ def _run(ask: Request) -> int:
         scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
-            return _finish(ask, scene, progress, draft, earlier)
+            return _finish(ask, scene, progress, draft, earlier, begun)
 
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
@@ -229,7 +240,9 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     return progress
 
 
-def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None") -> int:
+def _finish(
+    ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None", begun: float
+) -> int:
     """Report and write what there is; the exit status."""
     from diffeed.outputs import write_files
     from diffeed.pieces import cut_at_failure
@@ -244,6 +257,9 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
             "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
         }  # fmt: skip
     print_report(console(), summary)
+    confirmed = _confirm(ask, scene, trajectory, progress, begun) if ask.confirm and trajectory.ok else None
+    if confirmed:
+        summary["confirmed"] = confirmed._asdict()
     if earlier:
         print_changes(console(), earlier.summary, summary)
     if not trajectory.ok:
@@ -253,7 +269,27 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
         click.echo(f"written to {ask.out}: {', '.join(names)}")
     if progress.stopped:
         leave_at_once(130)
-    return 0 if trajectory.ok else 1
+    return 0 if trajectory.ok and (confirmed is None or confirmed.holds) else 1
+
+
+def _confirm(
+    ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress, begun: float
+) -> "Confirmation | None":
+    """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known."""
+    from diffeed.agreement import confirm
+    from diffeed.pieces import cut_at_failure
+    from diffeed.trajectory import join
+
+    if progress.stopped:
+        return None
+    say(f"{ask.scene}: once more, with shorter steps")
+    again = _simulate(ask.finer(float(trajectory.dt)), scene, begun)
+    if again.stopped:
+        progress.stopped = True
+        return None
+    found = confirm(scene, trajectory, cut_at_failure(join(again.pieces)))
+    click.echo(found.sentence())
+    return found
 
 
 def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> dict[str, Any]:

@@ -37,7 +37,7 @@ RANKS = """
     observe
     frames
     margin
-    verdict
+    verdict agreement
     statics
     progress
     error_control

@@ -1,0 +1,69 @@
+"""Whether a run is what one with shorter steps comes to: what no run can tell of itself.
+
+A run sees what its steps do, not what they leave out: a rebound that begins and ends within a step, a sheet that buckles
+to whichever side rounding tips it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from diffeed.causes import SHORTER
+from diffeed.parts import Scene
+from diffeed.trajectory import Trajectory
+from diffeed.verdict import verdict
+
+FINER = 4
+"""Times shorter are the steps, or smaller the tolerance, of the run to compare with."""
+TOLD, SHARE = 3.0, 0.02
+"""Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
+larger."""
+
+
+class Confirmation(NamedTuple):
+    """How far two runs of a scene are apart."""
+
+    apart: float  # mm, of any node at any frame of both
+    sheet: str
+    time: float  # s, when
+    way: float  # mm: the longest that a node of the finer run made
+    before: str  # status of the run: passed, late, jammed, failed
+    after: str  # and of the finer one
+    holds: bool  # they have one status, and are no further apart than TOLD and SHARE allow
+
+    def sentence(self) -> str:
+        """What it came to, in words."""
+        where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s)"
+        if self.holds:
+            return f"Confirmed with steps {FINER} times shorter: the sheet is at most {where}, and the verdict is the same."
+        other = "the verdict is the same" if self.after == self.before else f"the verdict is {self.after}"
+        return (
+            f"Not confirmed: with steps {FINER} times shorter the sheet is up to {where} of {self.way:.3g} mm moved, and "
+            f"{other}. Believe neither run: {SHORTER}."
+        )
+
+
+def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
+    """Compare a run with one of the same scene, duration and frames with steps `FINER` times shorter (or such a tolerance).
+
+    A run that failed is compared up to there, and not confirmed. Raises ValueError where the frames are not the same.
+    """
+    count = min(len(run.time), len(finer.time))
+    times = np.asarray(run.time)[:count]
+    alike = np.allclose(times, np.asarray(finer.time)[:count], rtol=1e-6, atol=0.0)
+    if run.ok and finer.ok and not (alike and len(run.time) == len(finer.time)):
+        ends = (f"{len(r.time)} until {float(r.time[-1]):g} s" for r in (run, finer))
+        raise ValueError(f"the runs must have the same frames, but have {' and '.join(ends)}")
+    apart, way, sheet, frame = 0.0, 0.0, min(run.sheets), 0
+    for name, track in run.sheets.items():
+        mine, other = (np.asarray(t.nodes)[:count] for t in (track, finer.sheets[name]))
+        gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)
+        steps = np.linalg.norm(np.diff(other, axis=0), axis=-1)
+        way = max(way, float(steps.sum(axis=0).max(initial=0.0)))
+        if not gaps.max() <= apart:
+            apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
+    before, after = (verdict(scene, r).status for r in (run, finer))
+    near = apart <= max(TOLD * float(run.error), SHARE * way)
+    return Confirmation(
+        apart, sheet, float(times[frame]), way, before, after, bool(near and before == after != "failed")
+    )

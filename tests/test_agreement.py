@@ -1,0 +1,94 @@
+"""Runs compared with finer ones: what agrees, what does not, and that wrong runs which say that they hold are found out."""
+
+import jax
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import diffeed
+from diffeed import cli
+from diffeed.agreement import FINER, SHARE, TOLD
+from diffeed.parts import Scene
+from diffeed.records import replace
+from diffeed.trajectory import Failure, Trajectory
+from tests.search import valid
+from tests.test_cli import MINI
+from tests.test_search import LOST_REBOUNDS
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return diffeed.read_scene(MINI)
+
+
+@pytest.fixture(scope="module")
+def run(scene) -> Trajectory:
+    return jax.device_get(diffeed.simulate(scene, dt=1e-3, frames=7))
+
+
+def moved(run: Trajectory, frame: int, by: float, **changes) -> Trajectory:
+    """A run whose tail is elsewhere at one frame."""
+    nodes = np.array(run.sheets["strip"].nodes)
+    nodes[frame, -1, 1] += by
+    return replace(run, sheets={"strip": replace(run.sheets["strip"], nodes=nodes)}, **changes)
+
+
+def test_runs_agree_within_what_they_tell_or_a_share_of_the_way(scene, run):
+    way = diffeed.confirm(scene, run, run).way
+    assert way > 10.0
+    for error, limit in ((1e-6, SHARE * way), (1.0, TOLD * 1.0)):
+        told = replace(run, error=np.asarray(error))
+        near, far = (diffeed.confirm(scene, told, moved(told, 3, by * limit)) for by in (0.8, 1.2))
+        assert near.holds
+        assert not far.holds
+        assert far.apart == pytest.approx(1.2 * limit)
+        assert (far.sheet, far.time) == ("strip", pytest.approx(float(run.time[3])))
+        assert "Confirmed" in near.sentence()
+        assert far.sentence().startswith(f"Not confirmed: with steps {FINER} times shorter")
+
+
+def test_another_verdict_and_a_failed_run_are_no_confirmation(scene, run):
+    other = replace(scene, goal="")
+    assert diffeed.confirm(other, run, run).holds
+    failure = Failure(time=run.time[4], cause=np.asarray(2), part=np.asarray(-1), parts=run.failure.parts)
+    broken = replace(run, ok=np.asarray(False), failure=failure)
+    found = diffeed.confirm(scene, run, broken)
+    assert (found.before, found.after, found.holds, found.apart) == ("passed", "failed", False, 0.0)
+    assert "the verdict is failed" in found.sentence()
+    assert not diffeed.confirm(scene, broken, broken).holds
+
+
+def test_other_frames_are_refused(scene, run):
+    names = ("time", "sheets", "rollers", "guides", "states")
+    other = replace(run, **{name: jax.tree.map(lambda v: v[::2], getattr(run, name)) for name in names})
+    with pytest.raises(ValueError, match=r"have 7 until 0\.06 s and 4 until 0\.06 s"):
+        diffeed.confirm(scene, run, other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("machine", "method", "seed"), LOST_REBOUNDS)
+def test_what_no_run_sees_of_itself_is_not_confirmed(machine, method, seed):
+    """Rebounds that begin and end within a step are lost; the runs hold."""
+    scene = valid.scene_of(machine, seed)
+    made = diffeed.stack([scene])
+    run, finer = (
+        valid.sample(valid.run_batch(made, dt=valid.STEPS[method] / part, method=method), 0) for part in (1, FINER)
+    )
+    assert run.ok
+    assert finer.ok
+    assert not diffeed.confirm(scene, run, finer).holds
+
+
+def test_the_command_confirms_or_not(tmp_path, monkeypatch):
+    file = tmp_path / "mini.toml"
+    file.write_text(MINI)
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3", "--confirm", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "Confirmed with steps 4 times shorter" in done.output
+    assert '"confirmed": {' in (out / "summary.json").read_text()
+    monkeypatch.setattr("diffeed.agreement.SHARE", 0.0)
+    monkeypatch.setattr("diffeed.agreement.TOLD", 0.0)
+    done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3", "--confirm"])
+    assert done.exit_code == 1
+    assert "Not confirmed" in done.output
