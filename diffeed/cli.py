@@ -24,7 +24,7 @@ from diffeed.session import (
     set_up,
     stoppable,
 )
-from diffeed.terminal import SETTINGS, console, hand_out, refusing
+from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
 
 if TYPE_CHECKING:
     from diffeed.agreement import Confirmation
@@ -213,9 +213,20 @@ def _run(ask: Request) -> int:
         say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
         scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
+        if ask.confirm:
+            _refuse_too_fine(ask, scene)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
             return _finish(ask, scene, progress, draft, earlier, begun)
+
+
+def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
+    from diffeed.limits import run_problem, scene_size
+    from diffeed.rollout import STEP
+
+    steps = ask.finer(ask.dt or STEP).dt if ask.tolerance is None else None
+    if problem := run_problem(scene.duration, steps, ask.frames, scene_size(scene)):
+        raise Refusal(f"--confirm takes shorter steps: {problem}")
 
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
@@ -275,7 +286,8 @@ def _finish(
 def _confirm(
     ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress, begun: float
 ) -> "Confirmation | None":
-    """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known."""
+    """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known: the first
+    run is not lost by it."""
     from diffeed.agreement import confirm
     from diffeed.pieces import cut_at_failure
     from diffeed.trajectory import join
@@ -283,9 +295,14 @@ def _confirm(
     if progress.stopped:
         return None
     say(f"{ask.scene}: once more, with shorter steps")
-    again = _simulate(ask.finer(float(trajectory.dt)), scene, begun)
-    if again.stopped:
+    try:
+        again = _simulate(ask.finer(float(trajectory.dt)), scene, begun)
+        progress.stopped = again.stopped
+    except KeyboardInterrupt:
+        interrupted.clear()
         progress.stopped = True
+    if progress.stopped:
+        say("not confirmed: stopped by Ctrl-C")
         return None
     found = confirm(scene, trajectory, cut_at_failure(join(again.pieces)))
     click.echo(found.sentence())

@@ -92,3 +92,33 @@ def test_the_command_confirms_or_not(tmp_path, monkeypatch):
     done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3", "--confirm"])
     assert done.exit_code == 1
     assert "Not confirmed" in done.output
+
+
+def test_steps_that_would_be_too_many_are_refused_beforehand(tmp_path):
+    file = tmp_path / "mini.toml"
+    file.write_text(MINI)
+    done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-10", "--confirm"])
+    assert done.exit_code == 2
+    assert "--confirm takes shorter steps: duration / dt must be at most" in done.output
+
+
+def test_stopped_while_confirming_the_first_run_is_kept(tmp_path, monkeypatch):
+    file, out = tmp_path / "mini.toml", tmp_path / "out"
+    file.write_text(MINI)
+    first = cli._simulate
+    left: list[int] = []
+
+    def simulate(ask, scene, begun):
+        if ask.dt != 1e-3:
+            raise KeyboardInterrupt
+        return first(ask, scene, begun)
+
+    def leave(status: int) -> None:
+        left.append(status)
+
+    monkeypatch.setattr(cli, "_simulate", simulate)
+    monkeypatch.setattr(cli, "leave_at_once", leave)
+    done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3", "--confirm", "--out", str(out)])
+    assert "not confirmed: stopped by Ctrl-C" in done.output
+    assert left == [130]
+    assert '"status": "passed"' in (out / "summary.json").read_text()

@@ -45,6 +45,8 @@ class Found(NamedTuple):
     method: str
     seed: int
     what: str
+    confirmed: bool = False
+    """Whether shorter steps agree with it."""
 
 
 class Tally(NamedTuple):
@@ -102,20 +104,21 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0) -> T
             causes[CAUSES[int(one.failure.cause)]] += 1
             found += [Found(machine, method, seed, what) for what in _complaints(made, one, other)]
             if one.ok and other.ok and not _agree(one, other):
-                doubted.append((seed, made, one))
+                doubted.append((seed, made, one, other))
     sensitive = 0
     for batch, real in _batches(doubted, FEW):
         opinions = [
-            run_batch(diffeed.stack([made for _, made, _ in batch]), tolerance=t, most_steps=MOST) for t in TOLERANCES
+            run_batch(diffeed.stack([made for _, made, *_ in batch]), tolerance=t, most_steps=MOST) for t in TOLERANCES
         ]
-        for i, (seed, _, one) in enumerate(batch[:real]):
+        for i, (seed, made, one, other) in enumerate(batch[:real]):
             rough, fine = (sample(run, i) for run in opinions)
             if not (rough.ok and fine.ok and _agree(rough, fine)):
                 sensitive += 1
             elif is_wrong(one, fine):
                 apart, way = _apart(one, fine)
                 what = f"{apart:.3g} mm off, of {way:.3g} mm moved; it told of {float(one.error):.2g} mm"
-                found.append(Found(machine, method, seed, what))
+                confirmed = diffeed.confirm(made, one, other).holds
+                found.append(Found(machine, method, seed, what + ", and is confirmed" * confirmed, confirmed))
     return Tally(machine, method, count, refused, held, sensitive, causes, found, time.perf_counter() - began)
 
 
@@ -183,7 +186,11 @@ def command(count: int, first: int, machines: str, methods: str) -> None:
             click.echo(f"    seed {fault.seed}: {fault.what}")
     faults = sum(len(t.found) for t in tallies)
     scenes, held, told = (sum(getattr(t, name) for t in tallies) for name in ("scenes", "held", "sensitive"))
-    click.echo(f"{scenes} scenes, {held} hold, {told} that no run can tell, {faults} faults")
+    confirmed = sum(fault.confirmed for t in tallies for fault in t.found)
+    click.echo(
+        f"{scenes} scenes, {held} hold, {told} that no run can tell, {faults} faults, {confirmed} of them confirmed by shorter "
+        "steps"
+    )
     raise SystemExit(1 if faults else 0)
 
 
