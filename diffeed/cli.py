@@ -297,11 +297,11 @@ def _confirm(
     say(f"{ask.scene}: once more, with shorter steps")
     try:
         again = _simulate(ask.finer(float(trajectory.dt)), scene, begun)
-        progress.stopped = again.stopped
     except KeyboardInterrupt:
         interrupted.clear()
+        again = Progress(stopped=True)
+    if again.stopped:
         progress.stopped = True
-    if progress.stopped:
         say("not confirmed: stopped by Ctrl-C")
         return None
     found = confirm(scene, trajectory, cut_at_failure(join(again.pieces)))
