@@ -210,7 +210,7 @@ def gradient(out: Path | None, force: bool, **options: Any) -> None:
 @QUICK
 @FORCE
 def stability(out: Path | None, quick: bool, force: bool) -> None:
-    """Where each stepper is right, inaccurate, fails, or is wrong without a word: time step against six numbers."""
+    """Where each stepper is right, inaccurate, fails, or is wrong and yet holds: time step against six numbers."""
     from diffeed.bench.files import names_of, write_rows
     from diffeed.bench.report import print_stability
 

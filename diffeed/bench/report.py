@@ -204,7 +204,7 @@ def print_gradient(console: "Console", rows: list[dict[str, Any]]) -> None:
 
 
 def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
-    """How many runs of each stepper became what; then those that are wrong without a word, and what `check` let pass."""
+    """How many runs of each stepper became what; then those that are wrong and yet hold, and what `check` let pass."""
     titles = {**dict.fromkeys(CLASSES), "wrong": f"wrong\n>{WRONG:g} mm", "failed": "failed,\nsaid so"}
     table = plain_table("stepper", *(title or name for name, title in titles.items()), "refused\nby check")
     lines = []
@@ -232,7 +232,7 @@ def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
         errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
         worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"
         refused, told = sum(r["refused"] for r in own), [r["told_mm"] for r in own if r["told_mm"] is not None]
-        worst += f", told {digits(min(told))} mm and more" if told else ""
+        worst += f", told {digits(min(told))} mm{' and more' * (len(told) > 1)}" if told else ""
         found.append(
             f"  {method}, {_named(axis, _range(own, 'value'))}, at {_range(own, 'size')} "
             f"{'mm' if method == CONTROLLED else 's'}: {len(own)} ({worst}{f', {refused} refused' if refused else ''})"

@@ -1,7 +1,7 @@
 """The stability map: for each stepper, time step against one number of a scene, and what becomes of each run.
 
 Each run is compared with a converged one of the same scene, and judged: right, inaccurate, failed and said so, refused
-beforehand by `diffeed.check`, or plainly wrong without a word, which must not be. Values of a number go in one batch, and
+beforehand by `diffeed.check`, or plainly wrong and yet held for right, which must not be. Values of a number go in one batch, and
 runs are cut into pieces of few lengths, so that few programs are compiled.
 """
 

@@ -15,7 +15,7 @@ COLORS = {"right": "#56B4E9", "inaccurate": "#F0E442", "wrong": "#D55E00", "fail
 WORDS = {
     "right": f"right: within {RIGHT:g} mm",
     "inaccurate": "inaccurate",
-    "wrong": f"wrong by {WRONG:g} mm and more, without a word",
+    "wrong": f"wrong by {WRONG:g} mm and more, and yet holds",
     "failed": "failed, and said so",
     "unclear": "reference not known that well",
 }
