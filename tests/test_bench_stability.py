@@ -124,11 +124,12 @@ def test_what_is_wrong_without_a_word_is_counted_and_named():
     said = report.wrong_runs(made_up())
     assert "4 runs are plainly wrong and yet hold:" in said[0]
     assert any("runge_kutta, sheet tension" in line and "1 refused" in line and "7.00 mm" in line for line in said)
-    assert all("told 4.00 mm and more" in line for line in said[1:])
+    assert all("told 4.00 mm" in line for line in said[1:])
     first = next(r for r in made_up() if r["became"] == "wrong")
     alone = report.wrong_runs([first])
     assert "1 run is plainly wrong and yet holds:" in alone[0]
     assert "told 4.00 mm)" in alone[1]
+    assert "told 2.00 mm and more)" in report.wrong_runs([first, first | {"told_mm": 2.0}])[1]
     assert "No run is plainly wrong" in report.wrong_runs([r for r in made_up() if r["became"] != "wrong"])[0]
 
 
