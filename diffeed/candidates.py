@@ -30,6 +30,11 @@ SIZE = 100.0
 """mm from its pivot to the far end of a swinging guide; larger ones are caught by the margin."""
 
 
+RANKED = 40
+"""Bodies up to which every one is compared with every other: sorting them is dearer (measured, one CPU core), three to seven
+times in a batch."""
+
+
 PAIRS = 4
 """Partners kept for each movable roller: a pinch has its drive, and room for what else may come near."""
 
@@ -179,9 +184,21 @@ def _nearest(near: Closest, depth: Array | None, count: int, model: Model, of: C
     else:
         # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
         gap = gap - jnp.where(near.weight > 0, 0.0, depth[every, None])
-    closest, index = lax.top_k(-gap.T, count + 1)
-    index, free = index[:, :count].T, -jnp.max(closest[:, count])
+    index, free = _smallest(gap, count)
     return (index, free) if of is None else (of.which[index], jnp.minimum(free, of.free))
+
+
+def _smallest(gap: Array, count: int) -> tuple[Array, Array]:
+    """(count, features) rows of the smallest gaps of each feature, and the smallest gap of all others. Equals in their order."""
+    n = gap.shape[0]
+    if n > RANKED:
+        closest, index = lax.top_k(-gap.T, count + 1)
+        return index[:, :count].T, -jnp.max(closest[:, count])
+    rows, earlier = np.arange(n, dtype=np.int32)[None, :, None], np.tri(n, k=-1, dtype=bool)[:, :, None]
+    is_ahead = (gap[None] < gap[:, None]) | ((gap[None] == gap[:, None]) & earlier)
+    rank = jnp.sum(is_ahead, axis=1, dtype=np.int32)
+    index = jnp.sum(jnp.where(rank[None] == rows[0, :count, None], rows, 0), axis=1, dtype=np.int32)
+    return index, jnp.min(jnp.where(rank >= count, gap, jnp.inf))
 
 
 def _fastest_node(model: Model, at: Pose) -> Array:
