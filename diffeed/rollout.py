@@ -31,8 +31,8 @@ BLOCK = 16
 LONG_BLOCK = 8
 """Length of a block from which a frame may get some steps more than asked for: few long ones stay as they are."""
 SEARCHED = 2e-3
-"""s: with long steps the searches stay this close in time, at 3 % more cost. A search over a longer time must reach further,
-and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
+"""s: with long steps the searches stay this close in time, at a tenth more cost (5e-4 s). A search over a longer time must
+reach further, and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
 MANY = 40_000
 """Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
 STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000
