@@ -79,6 +79,7 @@ def test_what_no_run_sees_of_itself_is_not_confirmed(machine, method, seed):
     assert not diffeed.confirm(scene, run, finer).holds
 
 
+@pytest.mark.slow
 def test_the_command_confirms_or_not(tmp_path, monkeypatch):
     file = tmp_path / "mini.toml"
     file.write_text(MINI)
