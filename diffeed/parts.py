@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from diffeed.records import fields, number, part, record, replace, word
 
@@ -349,6 +350,8 @@ def _normalise_number(value: Any) -> Any:
         dtype = jnp.result_type(float)
         if isinstance(value, jax.Array) and value.dtype == dtype and not value.weak_type:
             return value
+        if isinstance(value, Tracer):
+            return jnp.asarray(value, dtype)
         with jax.ensure_compile_time_eval():  # what is known stays known inside a trace
             return jnp.asarray(value, dtype)
     if isinstance(value, (list, tuple)):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.core import Tracer
 
 import diffeed
 from diffeed.bench.transport import transport
@@ -44,6 +45,26 @@ def test_what_is_traced_stays_beside_the_tables():
     found = jax.jit(run)(scene.rollers[name].radius)
     assert inputs == [1]
     assert float(found) == pytest.approx(float(diffeed.simulate(scene, 2e-3, 1e-3, 2).states.x[-1, 0]), abs=1e-12)
+
+
+@pytest.mark.parametrize("radius", [10.0, 10, np.float32(10.0)])
+def test_numbers_of_any_kind_may_be_traced(radius):
+    """A Python number is traced as one of weak type, which takes the type of what it meets."""
+    scene = normalise(diffeed.load_scene("film_feeder"))
+
+    def first_roller(value):
+        return normalise(diffeed.put(scene, f"rollers.{min(scene.rollers)}.radius", value)).rollers[min(scene.rollers)]
+
+    traced = []
+
+    def read(value):
+        roller = first_roller(value)
+        traced.extend([isinstance(roller.radius, Tracer), isinstance(roller.friction, Tracer)])
+        return roller.radius
+
+    found = jax.jit(read)(radius)
+    assert traced == [True, False]
+    assert (found.dtype, found.weak_type, float(found)) == (jnp.float64, False, 10.0)
 
 
 def test_a_run_and_its_derivative_are_those_of_loose_numbers():
