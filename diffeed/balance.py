@@ -28,21 +28,26 @@ ROUNDING = 1e4
 
 
 class Book(NamedTuple):
-    """Kept from step to step; energies in kg mm2/s2."""
+    """Kept from step to step."""
 
     opened: Array  # bool: there was a first look
-    start: Array  # stored then
+    sums: Array  # (5,) as below: in one array, for every array is a call in every step
+    pace: Array  # mm/s, of the fastest surface so far
+
+
+class Sums(NamedTuple):
+    """Energies in kg mm2/s2."""
+
+    start: Array  # stored at the first look
     power: Array  # at the last look, kg mm2/s3
     work: Array  # done on the sheets since
     through: Array  # the same without signs
     peak: Array  # the most that was stored outside contacts
-    pace: Array  # mm/s, of the fastest surface so far
 
 
 def empty(dtype: jnp.dtype) -> Book:
     """Before the first look."""
-    zero = jnp.zeros((), dtype)
-    return Book(jnp.asarray(False), zero, zero, zero, zero, zero, zero)
+    return Book(jnp.asarray(False), jnp.zeros((len(Sums._fields),), dtype), jnp.zeros((), dtype))
 
 
 def is_kept(model: Model) -> bool:
@@ -50,24 +55,25 @@ def is_kept(model: Model) -> bool:
     return all(hold.path is None for hold in model.holds)
 
 
-def entered(model: Model, book: Book, state: State, at: Pose, touching: Contacts, h: Array) -> tuple[Book, Array]:
+def entered(model: Model, book: Book, state: State, touching: Contacts, h: Array) -> tuple[Book, Array]:
     """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
+    at, old = touching.at, Sums(*book.sums)
     moving, bending, height = sheet_energies(model, state, at)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
     power = power + _loads(model, at)
-    start = jnp.where(book.opened, book.start, moving + bending + height + pressed)
+    start = jnp.where(book.opened, old.start, moving + bending + height + pressed)
     half = 0.5 * h
-    work = book.work + jnp.where(book.opened, half * (book.power + power), 0.0)
-    through = book.through + jnp.where(book.opened, half * (jnp.abs(book.power) + jnp.abs(power)), 0.0)
+    work = old.work + jnp.where(book.opened, half * (old.power + power), 0.0)
+    through = old.through + jnp.where(book.opened, half * (jnp.abs(old.power) + jnp.abs(power)), 0.0)
     # A spring may be loaded too much for the length of a step, where a contact begins within it: what counts is what comes
     # out of it.
     free = moving + bending + height
-    peak = jnp.maximum(book.peak, jnp.maximum(moving + bending, jnp.abs(free - start)))
+    peak = jnp.maximum(old.peak, jnp.maximum(moving + bending, jnp.abs(free - start)))
     found = free - start - work
     unseen = 0.5 * jnp.sum(model.bars.mass) * (SLOW + STRUCK * book.pace) ** 2
     unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
     gained = found > SHARE * (peak + through) + unseen
-    return Book(jnp.asarray(True), start, power, work, through, peak, book.pace), gained
+    return Book(jnp.asarray(True), jnp.stack(Sums(start, power, work, through, peak)), book.pace), gained
 
 
 def _contacts(pairs: Pairs) -> tuple[Array, Array]:

@@ -73,7 +73,7 @@ def _contact_energy(model: Model, touching: Contacts) -> Array:
 def powers(model: Model, state: State, at: Pose, world: Bodies, touching: Contacts) -> Powers:
     """Powers at a state: what the shafts put in, what dampers and sliding take out."""
     bars, r = model.bars, model.rollers
-    every = [p for p in touching if p is not None]
+    every = [p for p in (touching.sheets, touching.rollers) if p is not None]
     friction = sum((jnp.sum(p.touch.friction * p.v_t) for p in every), jnp.zeros(()))
     damping = _damping_loss(model, touching)
     rate = state.rate - jnp.roll(state.rate, -1)

@@ -28,7 +28,8 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
     `touching` are the contacts of the state before, as the steppers see them.
     """
     then, now = (_speeds(model, state) for state in (before, after))
-    fastest, leap = jnp.max(jnp.abs(now)), 0.5 * h * jnp.max(jnp.abs(now - then))
+    fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
+    leap = 0.5 * h * change
     cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(model, touching.sheets, kept, h)
     if touching.rollers is not None:
         i, j = touching.rollers.between

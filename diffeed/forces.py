@@ -25,10 +25,11 @@ from diffeed.system import BarTerms, Border, Clamped, System
 
 
 class Contacts(NamedTuple):
-    """All evaluated contacts of one state; None where a scene has no such part."""
+    """All evaluated contacts of one state, None where a scene has no such part, and the pose that they saw."""
 
     sheets: Pairs | None
     rollers: RollerPairs | None
+    at: Pose
 
 
 class Step(NamedTuple):
@@ -53,6 +54,7 @@ def contacts(
     return Contacts(
         sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
         rollers=roller_contacts(model, world, kept) if model.pairs else None,
+        at=at,
     )
 
 

@@ -15,7 +15,6 @@ from diffeed.causes import ACROSS, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MAN
 from diffeed.contact import Kept
 from diffeed.crossing import guides_crossed
 from diffeed.forces import Contacts
-from diffeed.kinematics import pose
 from diffeed.model import Model
 from diffeed.observe import OBSERVERS, Seen
 from diffeed.parts import Scene
@@ -96,7 +95,7 @@ def taken(
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
     (cause, leap), book = faults.of_step(judged, then, now, met, near, h), carry.book
     if balance.is_kept(model):
-        book, gained = balance.entered(judged, book, then, pose(judged, then), met, h)
+        book, gained = balance.entered(judged, book, then, met, h)
         cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
     fine = checkpoint_name((carry.cause == 0) & (cause == 0), VERDICT)
     opened = carry.open

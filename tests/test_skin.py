@@ -244,7 +244,7 @@ def test_sheet_and_roller_that_move_together_feel_nothing():
     touching = look(model, state)[2]
     step, kept = Step(jnp.asarray(1e-4), True), keep_all(model)
     pressed = border(model, state, touching, step, kept)
-    free = border(model, state, Contacts(None, None), step, kept)
+    free = border(model, state, Contacts(None, None, touching.at), step, kept)
     added = pressed.matrix()[0, 0] - free.matrix()[0, 0]
     assert float(added) > 0
     assert float(jnp.sum(pressed.columns[0, 1])) == pytest.approx(-float(added))  # it travels along y
