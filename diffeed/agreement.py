@@ -60,7 +60,7 @@ def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
         gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)
         steps = np.linalg.norm(np.diff(other, axis=0), axis=-1)
         way = max(way, float(steps.sum(axis=0).max(initial=0.0)))
-        if not gaps.max() <= apart:
+        if not gaps.max() <= apart:  # what is not a number is further than any
             apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
     before, after = (verdict(scene, r).status for r in (run, finer))
     near = apart <= max(TOLD * float(run.error), SHARE * way)

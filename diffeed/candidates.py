@@ -31,8 +31,7 @@ SIZE = 100.0
 
 
 RANKED = 40
-"""Bodies up to which every one is compared with every other: sorting them is dearer (measured, one CPU core), three to seven
-times in a batch."""
+"""Bodies up to which every one is compared with every other: sorting them is dearer (measured, one CPU core)."""
 
 
 PAIRS = 4

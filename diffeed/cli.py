@@ -217,7 +217,7 @@ def _run(ask: Request) -> int:
             _refuse_too_fine(ask, scene)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
-            return _finish(ask, scene, progress, draft, earlier, begun)
+            return _finish(ask, scene, progress, draft, earlier)
 
 
 def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
@@ -251,9 +251,7 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     return progress
 
 
-def _finish(
-    ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None", begun: float
-) -> int:
+def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None") -> int:
     """Report and write what there is; the exit status."""
     from diffeed.outputs import write_files
     from diffeed.pieces import cut_at_failure
@@ -268,7 +266,7 @@ def _finish(
             "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
         }  # fmt: skip
     print_report(console(), summary)
-    confirmed = _confirm(ask, scene, trajectory, progress, begun) if ask.confirm and trajectory.ok else None
+    confirmed = _confirm(ask, scene, trajectory, progress) if ask.confirm and trajectory.ok else None
     if confirmed:
         summary["confirmed"] = confirmed._asdict()
     if earlier:
@@ -283,9 +281,7 @@ def _finish(
     return 0 if trajectory.ok and (confirmed is None or confirmed.holds) else 1
 
 
-def _confirm(
-    ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress, begun: float
-) -> "Confirmation | None":
+def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> "Confirmation | None":
     """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known: the first
     run is not lost by it."""
     from diffeed.agreement import confirm
@@ -296,7 +292,7 @@ def _confirm(
         return None
     say(f"{ask.scene}: once more, with shorter steps")
     try:
-        again = _simulate(ask.finer(float(trajectory.dt)), scene, begun)
+        again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
     except KeyboardInterrupt:
         interrupted.clear()
         again = Progress(stopped=True)

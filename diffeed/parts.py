@@ -5,6 +5,7 @@ Every number is a leaf of the pytree, so the gradient of a scene is a scene; kin
 """
 
 import warnings
+from contextlib import nullcontext
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -346,15 +347,14 @@ def _normalise_number(value: Any) -> Any:
         return None
     if isinstance(value, Profile):
         return _normalise_record(value)
-    if isinstance(value, (jax.Array, np.ndarray, float, int)):
-        dtype = jnp.result_type(float)
-        if isinstance(value, jax.Array) and value.dtype == dtype and not value.weak_type:
-            return value
-        if isinstance(value, Tracer):
+    dtype = jnp.result_type(float)
+    if isinstance(value, jax.Array) and value.dtype == dtype and not value.weak_type:
+        return value
+    if isinstance(value, (jax.Array, np.ndarray, float, int, list, tuple)):
+        known = not any(isinstance(v, Tracer) for v in jax.tree.leaves(value))
+        with jax.ensure_compile_time_eval() if known else nullcontext():  # what is known stays known inside a trace
+            if isinstance(value, (list, tuple)):
+                return jnp.stack([_normalise_number(v) for v in value])
             return jnp.asarray(value, dtype)
-        with jax.ensure_compile_time_eval():  # what is known stays known inside a trace
-            return jnp.asarray(value, dtype)
-    if isinstance(value, (list, tuple)):
-        return jnp.stack([_normalise_number(v) for v in value])
     # Anything else is a stand-in that JAX itself put there (a sentinel of tree_map, a ShapeDtypeStruct).
     return value

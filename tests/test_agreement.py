@@ -95,6 +95,11 @@ def test_the_command_confirms_or_not(tmp_path, monkeypatch):
     assert "Not confirmed" in done.output
 
 
+def test_the_help_says_what_confirming_does():
+    done = CliRunner().invoke(cli.main, ["run", "--help"])
+    assert f"steps {FINER} times shorter" in " ".join(done.output.split())
+
+
 def test_steps_that_would_be_too_many_are_refused_beforehand(tmp_path):
     file = tmp_path / "mini.toml"
     file.write_text(MINI)

@@ -227,7 +227,9 @@ def wrong_runs(rows: list[dict[str, Any]]) -> list[str]:
     if not wrong:
         return ["\nNo run is plainly wrong without saying so."]
     count = sum(map(len, wrong.values()))
-    found = [f"\n{count} run{' is' if count == 1 else 's are'} plainly wrong and yet hold{'s' * (count == 1)}:"]
+    found = [
+        "\n1 run is plainly wrong and yet holds:" if count == 1 else f"\n{count} runs are plainly wrong and yet hold:"
+    ]
     for (method, axis), own in wrong.items():
         errors = [r["error_mm"] for r in own if r["error_mm"] is not None]
         worst = f"up to {digits(max(errors))} mm" if len(errors) == len(own) else "not finite"

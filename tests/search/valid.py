@@ -17,6 +17,7 @@ import numpy as np
 
 import diffeed
 from diffeed import tuning
+from diffeed.agreement import FINER, TOLD
 from diffeed.causes import CAUSES
 from diffeed.parts import Scene
 from diffeed.trajectory import Trajectory
@@ -26,12 +27,8 @@ from tests.search.oracle import complaints
 FRAMES = 11
 STEPS = {"linear_euler": 2e-4, "extrapolated_euler": 2e-4, "midpoint": 2e-4, "runge_kutta": 5e-5}
 """s: of each method, as a user would take them."""
-FINER = 4
-"""Times shorter are the steps that each run is compared with."""
 WRONG, SHARE = 5.0, 0.1
 """mm, and of the longest way that any node made: two runs that agree differ by less than the larger."""
-TOLD = 3.0
-"""Times the error that a run itself tells of: what it may be off."""
 TOLERANCES = (3e-3, 1e-3)
 """mm in one step, of the runs that decide."""
 MOST = 8_000
