@@ -2,8 +2,9 @@
 
 Stored: motion, bending, height, springs of contacts. Work: what the surfaces of rollers and guides do through contact
 forces, and loads. What is there beyond both came from nowhere: an unstable step, a contact that gives back more than it
-took. Damping and sliding only take, so that they need not be counted. The work is the trapezoidal rule over the forces at
-the ends of steps, which errs where a step is long for its contact; hence the wide margin.
+took. Damping and sliding only take, so that they need not be counted. The work of a step is that of the forces where it
+begins, which errs where a step is long for its contact; hence the wide margin. It is counted in every step, what is stored
+after every block of steps.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from jax import Array
 from diffeed.contact import Pairs
 from diffeed.energy import sheet_energies
 from diffeed.forces import Contacts, pushes
-from diffeed.kinematics import Pose
+from diffeed.kinematics import Pose, pose
 from diffeed.model import Model
 from diffeed.state import State
 
@@ -28,26 +29,28 @@ ROUNDING = 1e4
 
 
 class Book(NamedTuple):
-    """Kept from step to step."""
+    """Kept from step to step. Energies in kg mm2/s2."""
 
-    opened: Array  # bool: there was a first look
-    sums: Array  # (5,) as below: in one array, for every array is a call in every step
+    sums: Array  # as below: in one array, for every array is a call in every step
+    start: Array  # stored where the run began, outside contacts
+    peak: Array  # the most that was stored so since
     pace: Array  # mm/s, of the fastest surface so far
 
 
 class Sums(NamedTuple):
-    """Energies in kg mm2/s2."""
+    """What every step adds to. The power of a step is that where it begins."""
 
-    start: Array  # stored at the first look
-    power: Array  # at the last look, kg mm2/s3
-    work: Array  # done on the sheets since
+    begun: Array  # 1.0 after the first step, else 0.0
+    pressed: Array  # stored in contacts where the run began
+    work: Array  # done on the sheets
     through: Array  # the same without signs
-    peak: Array  # the most that was stored outside contacts
 
 
-def empty(dtype: jnp.dtype) -> Book:
-    """Before the first look."""
-    return Book(jnp.asarray(False), jnp.zeros((len(Sums._fields),), dtype), jnp.zeros((), dtype))
+def opened(model: Model, state: State) -> Book:
+    """The book of a run that begins."""
+    start = sum(sheet_energies(model, state, pose(model, state)), jnp.zeros(()))
+    zero = jnp.zeros_like(start)
+    return Book(jnp.zeros((len(Sums._fields),), start.dtype), start, zero, zero)
 
 
 def is_kept(model: Model) -> bool:
@@ -55,25 +58,33 @@ def is_kept(model: Model) -> bool:
     return all(hold.path is None for hold in model.holds)
 
 
-def entered(model: Model, book: Book, state: State, touching: Contacts, h: Array) -> tuple[Book, Array]:
-    """The book after a look at the state before a step of length h, and whether energy came from nowhere until then."""
-    at, old = touching.at, Sums(*book.sums)
-    moving, bending, height = sheet_energies(model, state, at)
+def entered(model: Model, book: Book, touching: Contacts, h: Array) -> Book:
+    """The book after a step of length h from where `touching` was seen."""
+    old = Sums(*book.sums)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
-    power = power + _loads(model, at)
-    start = jnp.where(book.opened, old.start, moving + bending + height + pressed)
-    half = 0.5 * h
-    work = old.work + jnp.where(book.opened, half * (old.power + power), 0.0)
-    through = old.through + jnp.where(book.opened, half * (jnp.abs(old.power) + jnp.abs(power)), 0.0)
+    power = power + _loads(model, touching.at)
+    sums = Sums(
+        begun=jnp.ones_like(old.begun),
+        pressed=jnp.where(old.begun > 0, old.pressed, pressed),
+        work=old.work + h * power,
+        through=old.through + h * jnp.abs(power),
+    )
+    return book._replace(sums=jnp.stack(sums))
+
+
+def judged(model: Model, book: Book, state: State, pace: Array) -> tuple[Book, Array]:
+    """The book after a block of steps in which no surface was faster than `pace`, and whether energy came from nowhere."""
+    sums = Sums(*book.sums)
+    moving, bending, height = sheet_energies(model, state, pose(model, state))
     # A spring may be loaded too much for the length of a step, where a contact begins within it: what counts is what comes
     # out of it.
-    free = moving + bending + height
-    peak = jnp.maximum(old.peak, jnp.maximum(moving + bending, jnp.abs(free - start)))
-    found = free - start - work
-    unseen = 0.5 * jnp.sum(model.bars.mass) * (SLOW + STRUCK * book.pace) ** 2
-    unseen = unseen + ROUNDING * jnp.finfo(found.dtype).eps * (jnp.abs(height) + bending + pressed)
-    gained = found > SHARE * (peak + through) + unseen
-    return Book(jnp.asarray(True), jnp.stack(Sums(start, power, work, through, peak)), book.pace), gained
+    more = moving + bending + height - book.start - sums.pressed
+    peak = jnp.maximum(book.peak, jnp.maximum(moving + bending, jnp.abs(more)))
+    pace = jnp.maximum(book.pace, pace)
+    unseen = 0.5 * jnp.sum(model.bars.mass) * (SLOW + STRUCK * pace) ** 2
+    unseen = unseen + ROUNDING * jnp.finfo(more.dtype).eps * (jnp.abs(height) + bending + sums.pressed)
+    gained = more - sums.work > SHARE * (peak + sums.through) + unseen
+    return book._replace(peak=peak, pace=pace), gained
 
 
 def _contacts(pairs: Pairs) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from diffeed.bodies import Bodies, Rigid
 from diffeed.contact_law import Grip, Surface, Touch, contact_law
 from diffeed.kinematics import Pose, from_nodes, pieces_to_bars, to_nodes, to_nodes_behind
 from diffeed.model import Arcs, Lines, Model
-from diffeed.once import derived_once
+from diffeed.once import computed_once, derived_once
 from diffeed.shapes import Chain, Near, chain_circle, point_arc, point_circle, point_line, round_ends
 from diffeed.skin import Pieces, piece_circle, touched
 from diffeed.smooth import polar
@@ -256,7 +256,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
     raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].friction_factor, grip)
-    touch = jax.tree.map(lambda v: near.weight * v, derived_once(raw, known))
+    touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw, known))
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
     turning = touch.force * near.lever

@@ -18,7 +18,7 @@ from diffeed.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.kinematics import node_velocities, nodes, pose
 from diffeed.model import Model
 from diffeed.parts import Scene
-from diffeed.progress import Progress, entering, recomputed, searched, taken
+from diffeed.progress import Progress, recomputed, searched, taken
 from diffeed.records import replace
 from diffeed.state import State
 from diffeed.steppers import ESTIMATING
@@ -109,11 +109,12 @@ def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: P
         end = start + (carry.frame + 1).astype(dtype) * limits.frame
         span = jnp.minimum(end - carry.progress.state.time, BLOCK * carry.h)
         candidates, span = for_as_long_as_they_last(search(model, carry.progress.state, span), span)
-        carry = carry._replace(progress=entering(carry.progress, candidates))
         until = carry.progress.state.time + span
         until = jnp.where(until + _smallest(end) >= end, end, until)  # no stub is left over by rounding
         done = _attempts(control, limits, model, scene, carry, candidates, until)
-        progress = _failed(searched(model, candidates, done.progress), span < _smallest(until), TOO_MANY_NEAR)
+        progress = _failed(
+            searched(model, candidates, carry.progress, done.progress), span < _smallest(until), TOO_MANY_NEAR
+        )
         reached = (progress.state.time >= end) | (progress.cause > 0)
         schedule = Schedule(
             carry.schedule.lengths.at[carry.block].set(done.lengths),
@@ -237,8 +238,8 @@ def _replay(
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None
 
-            carry, _ = lax.scan(one_step, entering(carry, candidates), lengths)
-            return searched(model, candidates, carry)
+            last, _ = lax.scan(one_step, carry, lengths)
+            return searched(model, candidates, carry, last)
 
         carry = lax.cond(lengths[0] > 0, work, lambda c: c, carry)
         return carry, carry.state

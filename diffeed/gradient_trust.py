@@ -141,7 +141,7 @@ def check_function(
     values = values.reshape(len(offsets), len(start), -1)  # (offsets, n, frames)
     k = len(STEPS)
     differences = (values[:k] - values[k : 2 * k]) / (2.0 * np.array(STEPS)[:, None, None] * spans[None, :, None])
-    slope, error, scatter = _fit(offsets[2 * k :], values[2 * k :])
+    slope, error, scatter = fit(offsets[2 * k :], values[2 * k :])
     trend, error = slope / spans[:, None], error / spans[:, None]
     rows = []
     for f in frames:
@@ -168,7 +168,7 @@ def _reverse(of: Callable[[Array], Array], x: Array, frames: list[int]) -> np.nd
     return np.stack([np.asarray(pull(x, f)) for f in frames])
 
 
-def _fit(u: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def fit(u: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parabola through values (samples, n, frames) at u: slope at 0 per unit u, its standard error, rms residual."""
     design = np.stack([np.ones_like(u), u, u * u], axis=1)
     flat = values.reshape(len(u), -1)

@@ -66,10 +66,8 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
     cause = jnp.where((cause == 0) & jnp.any(guides_crossed(model, state)), ACROSS, cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
-    dtype = state.time.dtype
-    return Progress(
-        state, cause, failed_at, start, jnp.full((), FIRST, dtype), balance.empty(dtype), jnp.zeros((), dtype)
-    )
+    dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state)))
+    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), book, jnp.zeros((), dtype))
 
 
 def _all_with_tangents(state: State) -> State:
@@ -95,9 +93,9 @@ def taken(
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
     (cause, leap), book = faults.of_step(judged, then, now, met, near, h), carry.book
     if balance.is_kept(model):
-        book, gained = balance.entered(judged, book, then, met, h)
-        cause = jnp.where((cause == 0) & gained, FROM_NOWHERE, cause).astype(jnp.int32)
-    fine = checkpoint_name((carry.cause == 0) & (cause == 0), VERDICT)
+        book = balance.entered(judged, book, met, h)
+    # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
+    fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
     if observe:
         guides = any(OBSERVERS[name].guides for name in observe)
@@ -109,7 +107,7 @@ def taken(
         failed_at=jnp.where((carry.cause == 0) & (cause > 0), after.time, carry.failed_at),
         open=jax.tree.map(lambda a, b: jnp.where(fine, a, b), opened, carry.open),
         next_step=carry.next_step,
-        book=jax.tree.map(lambda a, b: jnp.where(fine, a, b), book, carry.book),
+        book=book,  # of no use once a run has failed
         error=carry.error + jnp.where(fine, leap, 0.0),
     )
 
@@ -119,17 +117,23 @@ def recomputed(step: Step) -> Step:
     return jax.checkpoint(step, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(VERDICT))
 
 
-def entering(carry: Progress, found: Candidates) -> Progress:
-    """The start of a block of steps."""
-    return carry._replace(book=carry.book._replace(pace=jnp.maximum(carry.book.pace, found.pace)))
-
-
-def searched(model: Model, found: Candidates, carry: Progress) -> Progress:
-    """The end of a block of steps: a failure if its candidates were not good until here."""
+def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
+    """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
+    guide, or if energy came from nowhere: then the run stands where its energy was last good."""
     near_enough = check_reach(model, found, carry.state)
-    lost = (carry.cause == 0) & (~near_enough | jnp.any(guides_crossed(model, carry.state)))
+    across = jnp.any(guides_crossed(model, carry.state))
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
-    cause = jnp.where(near_enough, ACROSS, unseen).astype(jnp.int32)
+    cause = jnp.where(near_enough, jnp.where(across, ACROSS, 0), unseen)
+    book, state = carry.book, carry.state
+    if balance.is_kept(model):
+        book, gained = balance.judged(*lax.stop_gradient((model, book, state, found.pace)))
+        gained &= (carry.cause == 0) & (cause == 0)
+        cause = jnp.where(gained, FROM_NOWHERE, cause)
+        state = jax.tree.map(lambda a, b: jnp.where(gained, a, b), begun.state, state)
+    lost = (carry.cause == 0) & (cause > 0)
     return carry._replace(
-        cause=jnp.where(lost, cause, carry.cause), failed_at=jnp.where(lost, carry.state.time, carry.failed_at)
+        state=state,
+        cause=jnp.where(lost, cause, carry.cause).astype(jnp.int32),
+        failed_at=jnp.where(lost, carry.state.time, carry.failed_at),
+        book=book,
     )

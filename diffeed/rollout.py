@@ -10,7 +10,7 @@ from jax import Array, lax
 
 from diffeed import error_control
 from diffeed.candidates import search
-from diffeed.causes import ACROSS, NO_REST, TOO_DEEP, UNRESOLVED
+from diffeed.causes import ACROSS, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
 from diffeed.contact import keep_all
 from diffeed.crossing import guides_crossed
 from diffeed.faults import severity
@@ -19,7 +19,7 @@ from diffeed.model import Model, build
 from diffeed.observe import OBSERVERS
 from diffeed.packing import bare, jit_of_scene
 from diffeed.parts import Scene, normalise, warn_if_single
-from diffeed.progress import Progress, begin, entering, recomputed, searched, taken
+from diffeed.progress import Progress, begin, recomputed, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import felt_by_bodies, look, part_names, snapshot
 from diffeed.state import State
@@ -156,8 +156,8 @@ def _simulate(
             after = replace(after, time=time)
             return taken(model, scene, carry, after, touching, h, found.kept, observe), None
 
-        carry, _ = lax.scan(one_step, entering(carry, found), start + jnp.arange(counts.steps))
-        return searched(model, found, carry)
+        last, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
+        return searched(model, found, carry, last)
 
     if counts.total > MANY:
         one_block = jax.checkpoint(one_block, prevent_cse=False)  # in a scan nothing is merged that must not be
@@ -223,7 +223,7 @@ def _trajectory(
 
 def _blamed(model: Model, last: Progress, h: Array) -> Array:
     """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
-    force at the last good state; -1: nothing touches."""
+    force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
     at, _, touching = look(model, last.state)
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
@@ -231,6 +231,8 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     crossed = guides_crossed(model, last.state).astype(felt.gap.dtype)
     across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), crossed])
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
+    nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
+    pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(felt.gap, 0.0)), pressed)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
     weight = jnp.where(told, about, jnp.where(last.cause == ACROSS, across, pressed))
     by_part = _by_part(model, weight)

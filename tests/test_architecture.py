@@ -54,9 +54,10 @@ RANKS = """
     bench bench.settings bench.timing bench.machine bench.outcome
     bench.jaxprs bench.pareto bench.records
     bench.front bench.transport bench.batch bench.gradient bench.point
-    bench.growth bench.features
+    bench.growth bench.features bench.ripple bench.roughness
     bench.stability_scene bench.stability bench.stability_chart
     bench.report bench.charts bench.files bench.advise
+    bench.kinds bench.figures bench.together
     bench.cli
     cli
     __main__

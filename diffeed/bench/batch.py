@@ -13,7 +13,7 @@ from diffeed.parts import Scene, SinglePrecision, normalise
 from diffeed.records import replace
 from diffeed.rollout import simulate
 
-SIZES = (1, 4, 16, 64, 256, 1024)
+SIZES = (1, 4, 16, 64, 256, 1024, 4096)
 QUICK_SIZES = (1, 4, 16, 64)
 STEPS = 200
 """Steps of every run: enough that starting them does not count."""

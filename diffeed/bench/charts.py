@@ -188,6 +188,35 @@ def batch(rows: list[dict[str, Any]], device: str) -> "Axes":
     return _curves(panels)
 
 
+def ripple(rows: list[dict[str, Any]]) -> "Axes":
+    """Ripple of force and slip, and how far the lead edge is off, against time per step: where the smooth skin pays."""
+    panels = []
+    for key, title in (
+        ("force_ripple_n", "Ripple of the force (N)"),
+        ("slip_ripple_mm_s", "Ripple of the slip (mm/s)"),
+        ("force_error_n", "Error of the mean force (N)"),
+        ("lead_error_mm", "Error of the lead edge (mm)"),
+    ):
+        by_skin = {
+            f"skin {skin}": [r | {"size": r["us_per_step"]} for r in rows if r["skin"] == skin and "us_per_step" in r]
+            for skin in dict.fromkeys(r["skin"] for r in rows)
+        }
+        panels.append((title, "Time per step (us)", key, by_skin))
+    return _curves(panels)
+
+
+def roughness(rows: list[dict[str, Any]]) -> "Axes":
+    """Scatter of the lead edge over time: a panel for each start, a line for each way of stepping."""
+    panels = []
+    for start in dict.fromkeys(r["start"] for r in rows):
+        ways: dict[str, list[dict[str, Any]]] = {}
+        for row in rows:
+            if row["start"] == start and "time" in row:
+                ways.setdefault(row["steps"], []).append(row | {"size": row["time"]})
+        panels.append((f"Scatter, {start} (um)", "Time (s)", "scatter_um", ways))
+    return _curves(panels)
+
+
 Panel = tuple[str, str, str, dict[str, list[dict[str, Any]]]]
 """Vertical label, horizontal label, key of the value, rows by series."""
 

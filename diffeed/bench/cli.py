@@ -55,7 +55,7 @@ Examples:
   diffeed bench film_feeder --out costs
   diffeed bench gradient --out costs
   diffeed bench growth --out costs
-  diffeed bench stability --out costs
+  diffeed bench all --out figures
   diffeed bench front --help
 """,
 )
@@ -101,19 +101,14 @@ def front(scene: str, out: Path | None, force: bool, **options: Any) -> None:
 @FORCE
 def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
     """How cost grows with bars, parts, samples and length of the run."""
-    from diffeed.bench.files import names_of, write_rows
-    from diffeed.bench.report import print_growth
 
-    with stoppable(), _draft(out, names_of("growth"), force) as draft:
-        rows, machine = _measured(lambda show: _growth(quick, patience, show))
-        from diffeed.bench import charts
-        from diffeed.bench.growth import exponents
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.growth import exponents, growth
 
-        print_growth(console(), rows, exponents(rows))
-        data = {"machine": machine, "rows": rows, "exponents": exponents(rows)}
-        _publish(
-            out, draft, lambda draft, folder: write_rows(draft, folder, "growth", data, lambda: charts.growth(rows))
-        )
+        rows = growth(quick, patience, show)
+        return {"rows": rows, "exponents": exponents(rows)}
+
+    _rows("growth", out, force, run)
 
 
 @bench.command(context_settings=SETTINGS, short_help="What each feature of a scene costs.")
@@ -122,20 +117,14 @@ def growth(out: Path | None, quick: bool, patience: float, force: bool) -> None:
 @FORCE
 def features(out: Path | None, only_equations: bool, force: bool) -> None:
     """What each feature costs: a scene with all of them, and with one taken away."""
-    from diffeed.bench.files import names_of, write_rows
-    from diffeed.bench.report import print_features
 
-    with stoppable(), _draft(out, names_of("features"), force) as draft:
-        rows, machine = _measured(lambda show: _features(show, times=not only_equations))
-        from diffeed.bench import charts
-        from diffeed.bench.features import free_of_charge
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.features import features, free_of_charge
 
-        paid = free_of_charge(rows)
-        print_features(console(), rows, paid)
-        data = {"machine": machine, "rows": rows, "values_not_kinds": paid[1]}
-        _publish(
-            out, draft, lambda draft, folder: write_rows(draft, folder, "features", data, lambda: charts.features(rows))
-        )
+        rows = features(times=not only_equations, show=show)
+        return {"rows": rows, "values_not_kinds": free_of_charge(rows)[1]}
+
+    _rows("features", out, force, run)
 
 
 @bench.command(
@@ -154,23 +143,25 @@ Examples:
 @SET
 @QUICK
 @FORCE
-def batch(out: Path | None, force: bool, **options: Any) -> None:
+def batch(
+    scene: str,
+    sizes: tuple[int, ...],
+    dt: float,
+    out: Path | None,
+    assignments: tuple[str, ...],
+    quick: bool,
+    force: bool,
+) -> None:
     """Samples per second of SCENE (film_feeder) in a batch, in float64 and float32, on the device that JAX has."""
-    from diffeed.bench.files import names_of, write_rows
-    from diffeed.bench.report import print_batch
 
-    with stoppable(), _draft(out, names_of("batch"), force) as draft:
-        rows, machine = _measured(lambda show: _batch(show, **options))
-        from diffeed.bench import charts
-        from diffeed.bench.batch import STEPS
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.batch import QUICK_SIZES, SIZES, STEPS, batch
 
-        print_batch(console(), rows, STEPS)
-        data = {"scene": options["scene"], "machine": machine, "steps": STEPS, "rows": rows}
-        _publish(
-            out, draft, lambda draft, folder: write_rows(
-                draft, folder, "batch", data, lambda: charts.batch(rows, machine["device"])
-            ),
-        )  # fmt: skip
+        sound = load_sound(scene, assignments, {}, dt, None)
+        rows = batch(sound, sizes or (QUICK_SIZES if quick else SIZES), dt=dt, show=show)
+        return {"scene": scene, "steps": STEPS, "rows": rows}
+
+    _rows("batch", out, force, run)
 
 
 @bench.command(
@@ -188,21 +179,75 @@ Examples:
 @OUT
 @SET
 @FORCE
-def gradient(out: Path | None, force: bool, **options: Any) -> None:
+def gradient(
+    scene: str, duration: float | None, dt: float, out: Path | None, assignments: tuple[str, ...], force: bool
+) -> None:
     """Time, compilation and memory of a run of SCENE (film_feeder), of its derivative by one number in forward mode, and of
     its gradient by every number in reverse mode."""
-    from diffeed.bench.files import names_of, write_rows
-    from diffeed.bench.report import print_gradient
 
-    with stoppable(), _draft(out, names_of("gradient"), force) as draft:
-        rows, machine = _measured(lambda show: _gradient(show, **options))
-        from diffeed.bench import charts
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.gradient import gradient
 
-        print_gradient(console(), rows)
-        data = {"scene": options["scene"], "machine": machine, "rows": rows}
-        _publish(
-            out, draft, lambda draft, folder: write_rows(draft, folder, "gradient", data, lambda: charts.gradient(rows))
-        )
+        changes = {} if duration is None else {"duration": duration}
+        sound = load_sound(scene, assignments, changes, dt, None)
+        return {"scene": scene, "rows": gradient(sound, duration, dt, show=show)}
+
+    _rows("gradient", out, force, run)
+
+
+@bench.command(
+    context_settings=SETTINGS,
+    short_help="How smoothly a run follows a number of its scene.",
+    epilog="""\b
+Examples:
+  diffeed bench roughness
+  diffeed bench roughness my_machine.toml --by rollers.feed.radius --span 0.02 --out costs
+""",
+)
+@click.argument("scene", default="film_feeder")
+@click.option("--by", "path", default="rollers.drive_1.radius", show_default=True, help="The number that varies.")
+@click.option(
+    "--span",
+    type=click.FloatRange(0, min_open=True),
+    default=5e-3,
+    show_default=True,
+    help="By how much, to either side.",
+)
+@OUT
+@SET
+@QUICK
+@FORCE
+def roughness(
+    scene: str, path: str, span: float, out: Path | None, assignments: tuple[str, ...], quick: bool, force: bool
+) -> None:
+    """How smoothly the lead edge of SCENE (film_feeder) follows a number: its scatter about a parabola, with equal and with
+    chosen steps, as the scene starts and with shafts that ramp up."""
+
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench import roughness
+
+        sound = load_sound(scene, assignments, {}, None, None)
+        _refuse_path(sound, path, span)
+        samples = roughness.QUICK_SAMPLES if quick else roughness.SAMPLES
+        rows = roughness.roughness(sound, path, span, roughness.ways(quick), samples, show)
+        return {"scene": scene, "by": path, "span": span, "rows": rows}
+
+    _rows("roughness", out, force, run)
+
+
+@bench.command(context_settings=SETTINGS, short_help="What bars cost in smoothness, beside the smooth skin.")
+@OUT
+@QUICK
+@FORCE
+def ripple(out: Path | None, quick: bool, force: bool) -> None:
+    """Ripple of force and slip of a sheet that is pulled around a roller: on bars and on the smooth skin, by number of bars."""
+
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.ripple import BARS, ripple
+
+        return {"rows": ripple(BARS[:2] if quick else BARS, show)}
+
+    _rows("ripple", out, force, run)
 
 
 @bench.command(context_settings=SETTINGS, short_help="Where each stepper is right, inaccurate or wrong.")
@@ -211,41 +256,76 @@ def gradient(out: Path | None, force: bool, **options: Any) -> None:
 @FORCE
 def stability(out: Path | None, quick: bool, force: bool) -> None:
     """Where each stepper is right, inaccurate, fails, or is wrong and yet holds: time step against six numbers."""
+
+    def run(show: Any) -> dict[str, Any]:
+        from diffeed.bench.stability import stability
+
+        return {"rows": stability(quick, show)}
+
+    _rows("stability", out, force, run, keep=True)  # nothing is timed
+
+
+@bench.command(
+    "all",
+    context_settings=SETTINGS,
+    short_help="Every benchmark, and one file of all figures.",
+    epilog="""\b
+Examples:
+  diffeed bench all --out figures
+  diffeed bench all --out figures --only growth --only batch
+""",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FOLDER", required=True, help="A folder for each benchmark."
+)
+@click.option("--only", multiple=True, help="Of these benchmarks alone. Repeatable.")
+@QUICK
+@FORCE
+def every(out: Path, only: tuple[str, ...], quick: bool, force: bool) -> None:
+    """Every benchmark of the shipped scenes, one process after another (about 45 minutes), each into a folder of its own, and
+    all figures as figures.jsonl: one line each, with machine, versions and commit.
+
+    A benchmark that FOLDER holds already is not made again: a run that was stopped goes on. One that fails is told, the others
+    go on, and the exit status is 1."""
+    from diffeed.bench.together import run_all
+    from diffeed.folders import OutputError
+
+    with stoppable(), refusing(OutputError):
+        failed = run_all(out, only, quick, force)
+    raise SystemExit(1 if failed else 0)
+
+
+def _refuse_path(scene: "Scene", path: str, span: float) -> None:
+    """Where the number may not go to either end of its span."""
+    import diffeed
+    from diffeed.paths import PathError, get, put
+
+    with refusing(PathError):
+        middle = get(scene, path)
+    if getattr(middle, "shape", None) != ():
+        raise Refusal(f"--by must name one number of the scene, but {path} is not one")
+    for value in (middle - span, middle + span):
+        if problems := diffeed.check(put(scene, path, value)):
+            raise Refusal(f"--span {span:g} is too much: at {path} = {float(value):g}, {problems[0]}")
+
+
+def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[str, Any]], keep: bool = False) -> None:
+    """A benchmark other than the front, from refusing what could not be written to its files. `keep`: see `set_up`."""
     from diffeed.bench.files import names_of, write_rows
-    from diffeed.bench.report import print_stability
 
-    with stoppable(), _draft(out, names_of("stability"), force) as draft:
-        rows, machine = _measured(lambda show: _stability(quick, show), keep=True)  # nothing is timed
-        from diffeed.bench import stability_chart
+    with stoppable(), _draft(out, names_of(name), force) as draft:
+        found, machine = _measured(run, keep)
+        from diffeed.bench.kinds import KINDS
 
-        print_stability(console(), rows)
-        data = {"machine": machine, "rows": rows}
+        data = {**found, "machine": machine}
+        KINDS[name].print(console(), data)
         _publish(
-            out, draft, lambda draft, folder: write_rows(
-                draft, folder, "stability", data, lambda: stability_chart.stability(rows)
-            ),
-        )  # fmt: skip
+            out, draft, lambda draft, folder: write_rows(draft, folder, name, data, lambda: KINDS[name].draw(data))
+        )
 
 
-def _stability(quick: bool, show: Any) -> list[dict[str, Any]]:
-    from diffeed.bench.stability import stability
-
-    return stability(quick, show)
-
-
-def _gradient(
-    show: Any, scene: str, duration: float | None, dt: float, assignments: tuple[str, ...]
-) -> list[dict[str, Any]]:
-    from diffeed.bench.gradient import gradient
-
-    changes = {} if duration is None else {"duration": duration}
-    return gradient(load_sound(scene, assignments, changes, dt, None), duration, dt, show=show)
-
-
-def _measured(
-    run: Callable[[Any], list[dict[str, Any]]], keep: bool = False
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows, and the machine they were measured on, which is told at once. `keep`: see `set_up`."""
+def _measured(run: Callable[[Any], dict[str, Any]], keep: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What was found, and the machine that it was measured on, which is told at once."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
     set_up(keep=keep)
     from diffeed.bench.machine import machine, sentence
@@ -254,27 +334,6 @@ def _measured(
     say(sentence(found))
     with _bar() as show:
         return patiently(lambda: run(show)), found
-
-
-def _growth(quick: bool, patience: float, show: Any) -> list[dict[str, Any]]:
-    from diffeed.bench.growth import growth
-
-    return growth(quick, patience, show)
-
-
-def _features(show: Any, times: bool) -> list[dict[str, Any]]:
-    from diffeed.bench.features import features
-
-    return features(times=times, show=show)
-
-
-def _batch(
-    show: Any, scene: str, sizes: tuple[int, ...], dt: float, assignments: tuple[str, ...], quick: bool
-) -> list[dict[str, Any]]:
-    from diffeed.bench.batch import QUICK_SIZES, SIZES, batch
-
-    sound = load_sound(scene, assignments, {}, dt, None)
-    return batch(sound, sizes or (QUICK_SIZES if quick else SIZES), dt=dt, show=show)
 
 
 @click.command(

@@ -155,7 +155,7 @@ def print_growth(console: "Console", rows: list[dict[str, Any]], powers: list[di
             console.print(f"{row['series']}, {row['size']:g}: {row['reason']}")
 
 
-def print_features(console: "Console", rows: list[dict[str, Any]], paid: tuple[list[str], list[str]]) -> None:
+def print_features(console: "Console", rows: list[dict[str, Any]], values: list[str]) -> None:
     """The full scene and what is saved without each feature."""
     headings = {
         "equations": "equations",
@@ -165,8 +165,8 @@ def print_features(console: "Console", rows: list[dict[str, Any]], paid: tuple[l
     }
     shown = [r | {"without": f"without {r['without']}" if r["without"] else "everything"} for r in rows]
     _print_rows(console, "A scene with every feature, and with one taken away", "without", headings, shown)
-    if paid[1]:
-        console.print(f"\nAs many equations without them (values, not kinds): {', '.join(paid[1])}.")
+    if values:
+        console.print(f"\nAs many equations without them (values, not kinds): {', '.join(values)}.")
 
 
 def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> None:
@@ -198,6 +198,40 @@ def print_gradient(console: "Console", rows: list[dict[str, Any]]) -> None:
         "planned_mb": "planned\nMB",
     }
     _print_rows(console, "The run, and the gradient of where the lead edge ends", "what", headings, rows)
+    for row in rows:
+        if row.get("reason"):
+            console.print(f"{row['what']}: {row['reason']}")
+
+
+def print_ripple(console: "Console", rows: list[dict[str, Any]]) -> None:
+    """Every skin and number of bars."""
+    headings = {
+        "us_per_step": "us per\nstep",
+        "force_n": "force\nN",
+        "force_ripple_n": "ripple\nN",
+        "force_error_n": "error\nN",
+        "slip_mm_s": "slip\nmm/s",
+        "slip_ripple_mm_s": "ripple\nmm/s",
+        "lead_error_mm": "lead\nedge\nmm off",
+    }
+    named = [r | {"what": f"{r['skin']}, {r['bars']} bars"} for r in rows]
+    _print_rows(console, "A sheet pulled around a roller, steadily", "what", headings, named)
+    for row in named:
+        if row.get("reason"):
+            console.print(f"{row['what']}: {row['reason']}")
+
+
+def print_roughness(console: "Console", data: dict[str, Any]) -> None:
+    """A line for each start and way of stepping, a column for every second frame."""
+    rows = [r | {"what": f"{r['start']}, {r['steps']}"} for r in data["rows"]]
+    times = sorted({r["time"] for r in rows if "time" in r})
+    times = times[1::2] or times
+    lines = [
+        {"what": what} | {f"{r['time']:g}": r["scatter_um"] for r in rows if r["what"] == what and "time" in r}
+        for what in dict.fromkeys(r["what"] for r in rows)
+    ]
+    title = f"Scatter of the lead edge about a parabola, um, by {data['by']} within {data['span']:g} to either side"
+    _print_rows(console, title, "what", {f"{t:g}": f"at\n{t:g} s" for t in times}, lines)
     for row in rows:
         if row.get("reason"):
             console.print(f"{row['what']}: {row['reason']}")

@@ -17,6 +17,8 @@ STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
 QUICK_STEPS = (5e-4, 2e-4, 1e-4)
 TOLERANCES = (1e-1, 1e-2, 1e-3)
 """mm in one step, of error-controlled runs."""
+LIGHTER = 1000.0
+"""How many times, where inertia is as good as left out."""
 NUMERICAL = ("step", "tolerance")
 """Groups that change how the scene is solved; all others change what is solved, and differ by their model."""
 
@@ -108,6 +110,20 @@ def _friction(scene: Scene, base: Setting) -> Iterator[Setting]:
             yield replace(base, group="friction", label=f"friction {choice}", changes=changes)
 
 
+def _inertia(scene: Scene, base: Setting) -> Iterator[Setting]:
+    """As good as quasi-static: a thousandth of all masses under the same weight."""
+    parts = [(f"sheets.{n}", s, ("density",)) for n, s in sorted(scene.sheets.items())]
+    parts += [(f"rollers.{n}", r, ("mass", "inertia")) for n, r in sorted(scene.rollers.items())]
+    light = [
+        f"{where}.{name}={float(value) / LIGHTER!r}"
+        for where, part, names in parts
+        for name in names
+        if (value := getattr(part, name, None)) is not None
+    ]
+    weight = ", ".join(repr(float(v) * LIGHTER) for v in scene.gravity)
+    yield replace(base, group="inertia", label="hardly any inertia", changes=(*light, f"gravity=[{weight}]"))
+
+
 def _choices(kind: type, name: str) -> tuple[str, ...]:
     """The words that a field of a record takes; none if there is no such field."""
     return next((f.metadata["choices"] for f in fields(kind) if f.name == name), ())
@@ -118,4 +134,5 @@ KNOBS: dict[str, Callable[[Scene, Setting], Iterator[Setting]]] = {
     "precision": _precision,
     "skin": _skin,
     "friction": _friction,
+    "inertia": _inertia,
 }
