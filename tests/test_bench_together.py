@@ -181,6 +181,7 @@ def test_a_smooth_run_has_its_trend_and_no_scatter():
     rows = roughness.roughness(scene, "sheets.a.speed", 1.0, roughness.ways(quick=True), samples=6)
     last = [r for r in rows if r["time"] == pytest.approx(0.02)]
     assert {r["start"] for r in rows} == {"as given", "ramped"}
+    assert len({r["time"] for r in rows}) == roughness.FRAMES - 1, "the same times, whatever the steps"
     assert [r["trend_mm_per_unit"] for r in last] == pytest.approx([0.02] * 4, rel=1e-6)
     assert max(r["scatter_um"] for r in rows) < 1e-6
 

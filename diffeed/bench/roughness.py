@@ -91,7 +91,11 @@ def _rows(
         return [{"reason": f"{failed} of {samples} runs failed"}]
     slope, _, scatter = fit(offsets, np.asarray(values)[:, None])
     return [
-        {"time": float(t), "trend_mm_per_unit": float(slope[0, k]) / span, "scatter_um": 1e3 * float(scatter[0, k])}
+        {
+            "time": float(f"{t:.6g}"),
+            "trend_mm_per_unit": float(slope[0, k]) / span,
+            "scatter_um": 1e3 * float(scatter[0, k]),
+        }
         for k, t in enumerate(np.asarray(nominal.time))
         if k
     ]
