@@ -12,7 +12,6 @@ from click.testing import CliRunner
 import diffeed
 from diffeed import cli
 from diffeed.bench import figures, files, kinds, ripple, roughness, settings, together
-from diffeed.bench.outcome import MEASURES
 from diffeed.paths import assign
 
 HOST = {"processor": "abacus", "device": "cpu: cpu", "jax": "0", "diffeed": "0", "commit": "0123"}
@@ -211,4 +210,3 @@ def test_the_knob_of_inertia_leaves_the_weight():
     weights = [s.sheets["film"].density * jnp.asarray(s.gravity)[1] for s in (light, scene)]
     assert float(weights[0]) == pytest.approx(float(weights[1]))
     assert not knob.numerical
-    assert set(MEASURES) == {"lead", "slip", "force"}, "what `figures` names errors by"

@@ -282,7 +282,7 @@ Examples:
 @QUICK
 @FORCE
 def every(out: Path, only: tuple[str, ...], quick: bool, force: bool) -> None:
-    """Every benchmark of the shipped scenes, one process after another (about 45 minutes), each into a folder of its own, and
+    """Every benchmark of the shipped scenes, one process after another (an hour or so), each into a folder of its own, and
     all figures as figures.jsonl: one line each, with machine, versions and commit.
 
     A benchmark that FOLDER holds already is not made again: a run that was stopped goes on. One that fails is told, the others

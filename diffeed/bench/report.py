@@ -198,9 +198,7 @@ def print_gradient(console: "Console", rows: list[dict[str, Any]]) -> None:
         "planned_mb": "planned\nMB",
     }
     _print_rows(console, "The run, and the gradient of where the lead edge ends", "what", headings, rows)
-    for row in rows:
-        if row.get("reason"):
-            console.print(f"{row['what']}: {row['reason']}")
+    _reasons(console, rows)
 
 
 def print_ripple(console: "Console", rows: list[dict[str, Any]]) -> None:
@@ -216,9 +214,7 @@ def print_ripple(console: "Console", rows: list[dict[str, Any]]) -> None:
     }
     named = [r | {"what": f"{r['skin']}, {r['bars']} bars"} for r in rows]
     _print_rows(console, "A sheet pulled around a roller, steadily", "what", headings, named)
-    for row in named:
-        if row.get("reason"):
-            console.print(f"{row['what']}: {row['reason']}")
+    _reasons(console, named)
 
 
 def print_roughness(console: "Console", data: dict[str, Any]) -> None:
@@ -232,9 +228,7 @@ def print_roughness(console: "Console", data: dict[str, Any]) -> None:
     ]
     title = f"Scatter of the lead edge about a parabola, um, by {data['by']} within {data['span']:g} to either side"
     _print_rows(console, title, "what", {f"{t:g}": f"at\n{t:g} s" for t in times}, lines)
-    for row in rows:
-        if row.get("reason"):
-            console.print(f"{row['what']}: {row['reason']}")
+    _reasons(console, rows)
 
 
 def print_stability(console: "Console", rows: list[dict[str, Any]]) -> None:
@@ -311,6 +305,13 @@ def _print_rows(
 ) -> None:
     table = plain_table(first, *headings.values())
     _print(console, title, table, [(str(r[first]), *(_cell(r.get(key)) for key in headings)) for r in rows])
+
+
+def _reasons(console: "Console", rows: list[dict[str, Any]]) -> None:
+    """Why rows have no figures."""
+    for row in rows:
+        if row.get("reason"):
+            console.print(f"{row['what']}: {row['reason']}")
 
 
 def _cell(value: Any) -> str:
