@@ -7,7 +7,7 @@ from stand_in_nip import nip
 
 import diffeed
 from diffeed import contact, tuning
-from diffeed.once import derived_once
+from diffeed.once import computed_once, derived_once
 
 
 def plain(x):
@@ -18,8 +18,13 @@ def guarded(x):
     return derived_once(plain(x), jnp.asarray(7.0))
 
 
+def kept(x):
+    return computed_once(plain(x), jnp.asarray(7.0))
+
+
+@pytest.mark.parametrize("guarded", [guarded, kept])
 @pytest.mark.parametrize("by", [jax.jacfwd, jax.jacrev, lambda f: jax.jacfwd(jax.jacrev(f))])
-def test_derivatives_are_the_same_bits(by):
+def test_values_and_derivatives_are_the_same_bits(by, guarded):
     x = jnp.asarray([0.3, -1.7, 1e-300])
     assert jnp.array_equal(by(guarded)(x), by(plain)(x))
     assert jnp.array_equal(guarded(x), plain(x))
