@@ -35,10 +35,12 @@ class Confirmation(NamedTuple):
         """What it came to, in words."""
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s)"
         if self.holds:
-            return f"Confirmed with steps {FINER} times shorter: the sheet is at most {where}, and the verdict is the same."
+            return (
+                f"Confirmed by a run {FINER} times as fine: the sheet is at most {where}, and the verdict is the same."
+            )
         other = "the verdict is the same" if self.after == self.before else f"the verdict is {self.after}"
         return (
-            f"Not confirmed: with steps {FINER} times shorter the sheet is up to {where} of {self.way:.3g} mm moved, and "
+            f"Not confirmed: in a run {FINER} times as fine the sheet is up to {where} of {self.way:.3g} mm moved, and "
             f"{other}. Believe neither run: {SHORTER}."
         )
 

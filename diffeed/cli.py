@@ -121,7 +121,11 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 )
 @click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
 @click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
-@click.option("--confirm", is_flag=True, help="Run again with steps 4 times shorter, and say whether the runs agree.")
+@click.option(
+    "--confirm",
+    is_flag=True,
+    help="Run again with steps 4 times shorter, or such a tolerance, and say whether the runs agree.",
+)
 def run(**arguments: Any) -> None:
     """Run SCENE, a shipped scene's name (see `diffeed scenes`) or a TOML file, and report how the sheet ran."""
     with stoppable():

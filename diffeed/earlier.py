@@ -44,5 +44,5 @@ def _run(tracks: dict[str, np.ndarray], verdict: dict[str, Any]) -> Any:
             section, name, field = key.split(".")
             setattr(parts[section].setdefault(name, SimpleNamespace()), field, values)
     failed = verdict["status"] == "failed"
-    failure = SimpleNamespace(describe=lambda: f"at {verdict['time']:.6g} s: {verdict['reason']}")
+    failure = SimpleNamespace(describe=lambda: verdict["reason"])
     return SimpleNamespace(time=tracks["time"], ok=not failed, failure=failure, **parts)

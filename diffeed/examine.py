@@ -12,6 +12,7 @@ from diffeed.check_records import check_records
 from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
 from diffeed.crossing import guides_crossed
+from diffeed.kinematics import to_nodes
 from diffeed.limits import run_problem, scene_size
 from diffeed.model import Model, build
 from diffeed.packing import jit_of_scene
@@ -65,8 +66,8 @@ def check(
             problems.append('no rest state was found from which to start; set initial = "given" to start as written')
         problems += _speeds(scene)
         problems += _deep(model, now, "rests", allowed=0.0) if found else []
-    if dt is not None and method in EXPLICIT and not problems:
-        problems += _too_fast(model, state, dt, method)
+    if (dt is not None or frames is not None) and method in EXPLICIT and not problems:  # a run is meant
+        problems += _too_fast(model, state, STEP if dt is None else dt, method)
     return problems
 
 
@@ -110,15 +111,22 @@ def _speeds(scene: Scene) -> list[str]:
 def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
     """Bars whose axis lies inside a body: penetration beyond half the thickness (plus `allowed` mm, which a start that is
     settled afterwards may have)."""
-    half = float(np.min(model.bars.half_thickness))
-    found = []
-    for name, row in zip(model.body_names, np.asarray(gap), strict=True):
-        if np.isfinite(row.min()) and row.min() < -(half + allowed):
-            part = f"rollers.{name}" if name in model.rollers.names else f"guides.{name}"
-            found.append(
-                f"{part}: the sheet {verb} {-row.min():.3g} mm deep in it (bar {int(row.argmin())} of the row); "
-                f"it must be less than half the thickness, {half:g} mm"
-            )
+    if not gap.size:
+        return []
+    layout, half = model.layout, np.asarray(model.bars.half_thickness)
+    halves, found = np.asarray(to_nodes(layout, half, half)), []
+    for index, (name, row) in enumerate(zip(model.body_names, np.asarray(gap), strict=True)):
+        part = f"{'rollers' if index < model.rollers.n else 'guides'}.{name}"
+        for k, sheet in enumerate(layout.names):
+            mine = layout.sheet_of_feature[:, k]
+            beyond = row[mine] + halves[mine]
+            worst = int(beyond.argmin())
+            if np.isfinite(beyond[worst]) and beyond[worst] < -allowed:
+                where = f"bar {worst}" if worst < layout.bars[k] else "tail"
+                found.append(
+                    f"{part}: sheet {sheet} {verb} {-row[mine][worst]:.3g} mm deep in it ({where}); "
+                    f"it must be less than half the thickness, {halves[mine][worst]:g} mm"
+                )
     return list(dict.fromkeys(found))
 
 

@@ -42,9 +42,10 @@ class BadStep(NamedTuple):
         if self.step < 0:
             return "every step has finite derivatives"
         pair = f", between {self.part} and {self.feature}" if self.part else ""
-        where = "in the start (settling)" if self.step == 0 and not self.part and not self.term else self.term
         what = f"; numbers concerned: {', '.join(self.numbers[:6])}" if self.numbers else ""
-        return f"step {self.step}, at {self.time:.6g} s{pair}: the derivative of the {where} is not finite{what}"
+        if self.step == 0:
+            return f"the derivative of the start (settling) is not finite{what}"
+        return f"step {self.step}, at {self.time:.6g} s{pair}: the derivative of the {self.term} is not finite{what}"
 
 
 def explain_gradient(scene: Scene, duration: float | None = None, dt: float = 1e-4, method: str = DEFAULT) -> BadStep:

@@ -171,7 +171,8 @@ def _simulate(
     blocks = (counts.frames - 1) * counts.blocks
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
     (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
-    return _trajectory(model, scene, last, states, h, jnp.asarray(counts.total), observe)
+    gone = jnp.round((last.state.time - first.state.time) / h).astype(jnp.asarray(counts.total).dtype)
+    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe)
 
 
 @jit_of_scene(static_argnames=("control",))
@@ -183,7 +184,7 @@ def _simulate_to(
     limits = error_control.Limits(*(jnp.asarray(v, scene.gravity.dtype) for v in limits))
     first = begin(model, scene, initial, control.observe)
     last, states, count = error_control.run(control, limits, model, scene, first)
-    mean = control.frames * limits.frame / jnp.maximum(count, 1).astype(limits.frame.dtype)
+    mean = (last.state.time - first.state.time) / jnp.maximum(count, 1).astype(limits.frame.dtype)
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
     return _trajectory(model, scene, last, states, mean, count, control.observe)
 

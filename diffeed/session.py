@@ -33,12 +33,15 @@ METHOD = click.option(
 )
 
 
-def set_up(float32: bool = False, keep: bool = True) -> None:
-    """Settings of this process, before anything is compiled. `keep`: use compiled programs of earlier runs, and keep these."""
+def set_up(float32: bool = False, keep: bool = True, alone: bool = True) -> None:
+    """Settings of this process, before anything is compiled. `keep`: use compiled programs of earlier runs, and keep these.
+    `alone`: what is computed are single runs."""
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
     tuning.compile_quickly()
+    if alone:
+        tuning.use_one_core()
     if not keep:
         jax.config.update("jax_enable_compilation_cache", False)
     elif problem := tuning.keep_compilations():

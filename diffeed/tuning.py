@@ -104,8 +104,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def use_one_core() -> None:
+    """One thread in the compiler's pool, unless `NPROC` is set: to be called before anything is computed. For single runs and their
+    gradients: their loops are too small to be shared, and where a core is slow to wake, handing them to a second one takes longer
+    than doing them. Batches of hundreds are better off without."""
+    os.environ.setdefault("NPROC", "1")
+
+
 def use_all_cores() -> None:
-    """One JAX device for each processor core that this process may use: to be called before anything is computed."""
+    """One JAX device for each processor core that this process may use: to be called before anything is computed, and instead of
+    `use_one_core`."""
     import jax
 
     os.environ.setdefault("NPROC", str(THREADS_PER_DEVICE * cores()))

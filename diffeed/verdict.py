@@ -43,6 +43,8 @@ class Verdict(NamedTuple):
     place: str
 
     def sentence(self) -> str:
+        if self.status == "failed":  # the reason says where and when
+            return f"failed: {self.reason}"
         when = "" if self.time is None else f" at {self.time:.4g} s"
         where = f", {self.place}" if self.place else ""
         return f"{self.status}{when}: {self.reason}{where}"

@@ -44,7 +44,7 @@ def test_runs_agree_within_what_they_tell_or_a_share_of_the_way(scene, run):
         assert far.apart == pytest.approx(1.2 * limit)
         assert (far.sheet, far.time) == ("strip", pytest.approx(float(run.time[3])))
         assert "Confirmed" in near.sentence()
-        assert far.sentence().startswith(f"Not confirmed: with steps {FINER} times shorter")
+        assert far.sentence().startswith(f"Not confirmed: in a run {FINER} times as fine")
 
 
 def test_another_verdict_and_a_failed_run_are_no_confirmation(scene, run):
@@ -86,7 +86,7 @@ def test_the_command_confirms_or_not(tmp_path, monkeypatch):
     out = tmp_path / "out"
     done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3", "--confirm", "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "Confirmed with steps 4 times shorter" in done.output
+    assert "Confirmed by a run 4 times as fine" in done.output
     assert '"confirmed": {' in (out / "summary.json").read_text()
     monkeypatch.setattr("diffeed.agreement.SHARE", 0.0)
     monkeypatch.setattr("diffeed.agreement.TOLD", 0.0)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,8 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
-from diffeed.bench import figures, files, kinds, ripple, roughness, settings, together
+from diffeed.bench import figures, files, kinds, machine, ripple, roughness, settings, together
+from diffeed.folders import Lock
 from diffeed.paths import assign
 
 HOST = {"processor": "abacus", "device": "cpu: cpu", "jax": "0", "diffeed": "0", "commit": "0123"}
@@ -135,6 +137,39 @@ def test_all_goes_on_where_it_stopped_and_tells_what_failed(tmp_path, monkeypatc
     assert (out / "first_quick" / "x.json").exists(), "a short one does not stand for the long one"
     CliRunner().invoke(cli.main, ["bench", "all", "--out", str(out), "--only", "first", "--force"])
     assert "--force" in ran[-1]
+
+
+def test_two_that_measure_into_one_folder_do_not_run_together(tmp_path, monkeypatch):
+    """Each would take its times beside the other."""
+    ran = stand_in(tmp_path, monkeypatch, ("first", "last"))
+    out = tmp_path / "figures"
+    out.mkdir()
+    other = Lock(out)
+    done = CliRunner().invoke(cli.main, ["bench", "all", "--out", str(out)])
+    other.close()
+    assert done.exit_code == 2
+    assert "is being written by another run" in done.output
+    assert ran == []
+
+
+def test_figures_that_cannot_be_written_are_told_in_a_sentence(tmp_path, monkeypatch):
+    stand_in(tmp_path, monkeypatch, ("first",))
+    (tmp_path / together.FIGURES).mkdir()
+    done = CliRunner().invoke(cli.main, ["bench", "all", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert f"{together.FIGURES} could not be written: Is a directory" in done.output
+
+
+def test_a_word_of_the_name_of_a_figure_says_what_the_others_are_of():
+    found = read("roughness", ROUGHNESS)
+    assert {f["of"]["steps"] for f in found} == {"1e-4 s", "1e-3 mm", "2e-4 s"}
+    assert {f["figure"] for f in found} == {"trend_mm_per_unit", "scatter_um", None}
+
+
+def test_the_load_is_what_runs_now(monkeypatch):
+    """Two others beside the reader; the mean of the last minute is that of the benchmark before."""
+    monkeypatch.setattr(Path, "read_text", lambda *_: "1.51 1.65 1.31 3/107 7203\n")
+    assert machine._others_at_work(2, 0.0) == 2.0
 
 
 def test_a_benchmark_that_is_not_there_is_named(tmp_path):

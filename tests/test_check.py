@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffeed.check_records import SceneError, check_records, checked, make_scene
+from diffeed.examine import check
 from diffeed.parts import (
     ArcGuide,
     CircleGuide,
@@ -181,6 +182,26 @@ def test_the_default_contact_set_needs_no_entry():
 
 def test_parts_of_the_same_name_in_two_sections_are_fine():
     assert problems_with("guides.drive", SCENE.guides["line"]) == []
+
+
+def test_a_deep_start_is_that_of_the_sheet_that_lies_deep():
+    """Card may be pressed in by more than half of the paper beside it; and the bar is counted on its own sheet."""
+    wide = {"length": 20.0, "width": 50.0, "density": 1e-6, "youngs_modulus": 2e3, "bars": 4}
+    floor = LineGuide(start=(-100.0, 0.0), end=(100.0, 0.0))
+
+    def found(card, paper):
+        sheets = {
+            "a_card": Sheet(**wide, thickness=1.0, lead=(40.0, 0.5 - card)),
+            "paper": Sheet(**wide, thickness=0.1, lead=(10.0, 0.05 - paper)),
+        }
+        drive = FixedRoller(center=(0.0, -50.0), radius=5.0, angular_speed=1.0)
+        return check(Scene(sheets=sheets, guides={"drive": floor}, rollers={"drive": drive}, initial="given"))
+
+    assert found(0.1, 0.0) == []
+    (problem,) = found(0.1, 0.1)
+    assert problem.startswith("guides.drive: sheet paper starts 0.1 mm deep in it (bar ")
+    assert int(problem.split("bar ")[1].split(")")[0]) < 4
+    assert "half the thickness, 0.05 mm" in problem
 
 
 def test_what_the_default_precision_turns_into_zero_or_infinity_is_refused():

@@ -181,6 +181,18 @@ def test_a_changed_machine_is_held_against_the_run_before(finished, place):
     assert shown["runs"][1]["rollers"]["pinch"]["force"] != shown["runs"][0]["rollers"]["pinch"]["force"]
 
 
+def test_a_failed_run_before_tells_its_time_once(finished, place, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(place / "results/first", folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    reason = "at 0.7 s, at rollers.pinch: a bar was pushed deeper into a body than it may be"
+    summary["verdict"] = {"status": "failed", "reason": reason, "time": 0.7, "place": ""}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    run = earlier.read_run(folder).run
+    assert not run.ok
+    assert run.failure.describe() == reason
+
+
 @pytest.mark.parametrize(
     ("harm", "told"),
     [

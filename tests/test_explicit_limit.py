@@ -11,6 +11,7 @@ import pytest
 import diffeed
 from diffeed import FixedRoller, LineGuide, Scene, Sheet
 from diffeed.examine import explicit_limit, prepare
+from diffeed.rollout import STEP
 from diffeed.model import NEWTON
 from diffeed.parts import Contact, normalise
 from diffeed.progress import begin
@@ -187,3 +188,13 @@ def test_check_refuses_what_lies_above_the_limit_and_nothing_below():
     assert diffeed.check(scene, 0.99 * theory, "runge_kutta") == []
     (problem,) = diffeed.check(scene, 1.01 * theory, "runge_kutta")
     assert "bending of the chain" in problem
+
+
+def test_a_step_that_nobody_gave_is_judged_too():
+    """A run takes 1e-4 s if none is given; `frames` say that a run is meant."""
+    scene = free(40)
+    assert WAVE / finite(40) < STEP, "or this shows nothing"
+    (problem,) = diffeed.check(scene, None, "runge_kutta", frames=11)
+    assert "dt must be at most" in problem
+    assert "but is 0.0001;" in problem
+    assert diffeed.check(scene, None, "runge_kutta") == []

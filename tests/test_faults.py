@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet
+from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet, measures
 from diffeed.causes import (
     ACROSS,
     CAUSES,
@@ -24,6 +24,7 @@ from diffeed.model import build
 from diffeed.parts import normalise
 from diffeed.records import replace
 from diffeed.state import initial_state
+from diffeed.trajectory import join
 from tests.search.oracle import across
 
 METHODS = diffeed.METHODS
@@ -96,6 +97,21 @@ def test_approach_too_fast_to_be_resolved(method):
     failed(run, UNRESOLVED, "guides.floor")
     slow = diffeed.simulate(thrown(5e3), duration=0.0029, dt=1e-4, frames=3, method=method)
     assert bool(slow.ok), slow.failure.describe()
+
+
+@pytest.mark.parametrize("stepping", [{"dt": 1e-4}, {"tolerance": 1e-6, "most_steps": 12}])
+def test_a_failed_run_says_how_many_steps_it_took(stepping):
+    """Not how many were planned: what it reached, over those, would be a step that nobody took."""
+    run = diffeed.simulate(thrown(20e3), duration=0.01, frames=3, **stepping)
+    assert not run.ok
+    assert 0 < int(run.steps) < 50
+    gone = float(run.states.time[-1])
+    assert gone < 2e-3
+    assert float(join([run]).dt) == pytest.approx(gone / int(run.steps), rel=1e-9)
+    assert float(run.dt) == pytest.approx(gone / int(run.steps), rel=1e-9)
+    said = measures.verdict(thrown(20e3), run).sentence()
+    assert said == f"failed: {run.failure.describe()}"
+    assert said.count(f"at {float(run.failure.time):.6g} s") == 1
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from stand_in_nip import nip
 import diffeed
 from diffeed import contact_law, gradient_trust
 from diffeed.bench.jaxprs import operations
+from diffeed.gradient_faults import BadStep
 
 SETTLED = nip(initial="settled")
 """From a start that closes the nip by an impact, the gradient is exact and useless."""
@@ -97,6 +98,11 @@ def test_a_sound_gradient_has_nothing_to_explain():
     found = diffeed.explain_gradient(nip(), duration=0.005, dt=5e-4)
     assert found.step == -1
     assert "finite" in found.sentence()
+
+
+def test_a_start_without_derivative_is_said_in_a_sentence():
+    said = BadStep(0, 0.0, "", "", "", ("rollers.drive.radius",)).sentence()
+    assert said == "the derivative of the start (settling) is not finite; numbers concerned: rollers.drive.radius"
 
 
 @pytest.mark.slow

@@ -161,7 +161,7 @@ def batch(
         rows = batch(sound, sizes or (QUICK_SIZES if quick else SIZES), dt=dt, show=show)
         return {"scene": scene, "steps": STEPS, "rows": rows}
 
-    _rows("batch", out, force, run)
+    _rows("batch", out, force, run, alone=False)
 
 
 @bench.command(
@@ -288,9 +288,9 @@ def every(out: Path, only: tuple[str, ...], quick: bool, force: bool) -> None:
     A benchmark that FOLDER holds already is not made again: a run that was stopped goes on. One that fails is told, the others
     go on, and the exit status is 1."""
     from diffeed.bench.together import run_all
-    from diffeed.folders import OutputError
+    from diffeed.folders import OutputError, holding
 
-    with stoppable(), refusing(OutputError):
+    with stoppable(), refusing(OutputError), holding(out):  # alone: two that measure at a time spoil each other's times
         failed = run_all(out, only, quick, force)
     raise SystemExit(1 if failed else 0)
 
@@ -309,12 +309,12 @@ def _refuse_path(scene: "Scene", path: str, span: float) -> None:
             raise Refusal(f"--span {span:g} is too much: at {path} = {float(value):g}, {problems[0]}")
 
 
-def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[str, Any]], keep: bool = False) -> None:
-    """A benchmark other than the front, from refusing what could not be written to its files. `keep`: see `set_up`."""
+def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[str, Any]], **how: bool) -> None:
+    """A benchmark other than the front, from refusing what could not be written to its files. `how`: see `set_up`."""
     from diffeed.bench.files import names_of, write_rows
 
     with stoppable(), _draft(out, names_of(name), force) as draft:
-        found, machine = _measured(run, keep)
+        found, machine = _measured(run, **({"keep": False} | how))
         from diffeed.bench.kinds import KINDS
 
         data = {**found, "machine": machine}
@@ -324,10 +324,10 @@ def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[st
         )
 
 
-def _measured(run: Callable[[Any], dict[str, Any]], keep: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def _measured(run: Callable[[Any], dict[str, Any]], **how: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """What was found, and the machine that it was measured on, which is told at once."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
-    set_up(keep=keep)
+    set_up(**how)
     from diffeed.bench.machine import machine, sentence
 
     found = machine()

@@ -49,14 +49,17 @@ Figures = list[tuple[str, Any, str]]
 def _rows(data: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Figures]]:
     common = {k: v for k, v in data.items() if not isinstance(v, (dict, list))}
     for row in data["rows"]:
-        yield common | {k: v for k, v in row.items() if k not in UNITS and v is not None}, _known(row)
+        figures = _known(row)
+        taken = {name for name, *_ in figures}
+        yield common | {k: v for k, v in row.items() if k not in taken and v is not None}, figures
     for row in data.get("exponents", []):
         found = [(f"power of {name}", value, "1") for name, value, _ in _known(row)]
         yield common | {"series": row["series"]}, found
 
 
 def _known(row: dict[str, Any]) -> Figures:
-    return [(name, row[name], unit) for name, unit in UNITS.items() if row.get(name) is not None]
+    """Numbers: a word of that name, such as the `steps` that a row is of, says what the others are of."""
+    return [(name, row[name], unit) for name, unit in UNITS.items() if isinstance(row.get(name), (int, float))]
 
 
 def _front(data: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Figures]]:

@@ -112,7 +112,7 @@ def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
         made.compile,
         made.run,
         made.repeats,
-        int(made.value.steps),
+        int(made.value.steps) if made.value.ok else None,  # the time is that of all steps, of which it took a part
     )
     return Finished(row, outcome(scene, made.value) if row.ok else None)
 

@@ -106,7 +106,7 @@ def _end_with(parent: int) -> None:
 
 def _main(series: str, size: float) -> None:
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    set_up(keep=False)
+    set_up(keep=False, alone=series != "samples")
     row = measure(series, size)
     print(json.dumps(row | {"peak_mb": _peak()}))
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from diffeed.bench import files
 from diffeed.bench.figures import lines
 from diffeed.files import write_whole
-from diffeed.folders import OutputError
+from diffeed.folders import OutputError, plain_errors
 from diffeed.session import leave_at_once, say
 
 FIGURES = "figures.jsonl"
@@ -88,5 +88,6 @@ def _write(out: Path) -> None:
                 data = json.loads((out / folder / made.data).read_text("utf-8"))
                 found += [f"{line}\n" for line in lines(folder, data)]
     if found:
-        write_whole(out / FIGURES, "".join(found))
+        with plain_errors(f"{out / FIGURES} could not be written"):
+            write_whole(out / FIGURES, "".join(found))
         print(f"{len(found)} figures written to {out / FIGURES}")

@@ -45,7 +45,7 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
 
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
     """One pass of Newton's method on the middle of the step."""
-    slope, _ = runge_kutta.derivative(model, guess, half, kept)
+    slope = runge_kutta.derivative(model, guess, half, kept)[0]
     missing = {name: getattr(slope, name) - (getattr(guess, name) - getattr(start, name)) / half for name in RATES}
     system, at, _ = assemble(model, guess, Step(half, True), kept)
     change = chain_solve.solve(_for_correction(model, system, at, missing, half), model.layout)

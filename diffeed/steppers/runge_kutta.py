@@ -12,7 +12,7 @@ from jax import Array
 from diffeed import chain_solve, stick
 from diffeed.bodies import spins
 from diffeed.contact import Kept
-from diffeed.forces import Contacts, Step, assemble
+from diffeed.forces import Contacts, Step, assemble, joint_stretch
 from diffeed.model import Model
 from diffeed.records import replace
 from diffeed.state import State, mean_per_sheet
@@ -21,9 +21,9 @@ NODES = (0.0, 0.5, 0.5, 1.0)
 WEIGHTS = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 
 
-def derivative(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
-    """Time derivative of every entry of the state."""
-    system, _, touching = assemble(model, state, Step(h, False), kept)
+def derivative(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts, Array]:
+    """Time derivative of every entry of the state, the contacts, and what the joints pull: it is no sum over time."""
+    system, at, touching = assemble(model, state, Step(h, False), kept)
     a = chain_solve.solve(system, model.layout)
     m, f = model.rollers.n_movable, model.rollers.n_free
     slope = State(
@@ -41,7 +41,7 @@ def derivative(model: Model, state: State, h: Array, kept: Kept) -> tuple[State,
         stretch=jnp.zeros_like(state.stretch),
         grip=stick.slope(model, state.grip, touching.sheets, h, kept),
     )
-    return slope, touching
+    return slope, touching, joint_stretch(model, at, *chain_solve.net_joint_force(system, a))
 
 
 def _along(state: State, slope: State, h: Array | Any) -> State:
@@ -50,16 +50,16 @@ def _along(state: State, slope: State, h: Array | Any) -> State:
 
 def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
     """One step; also the contacts of the state it started from."""
-    first, touching = derivative(model, state, h, kept)
+    first, touching, stretch = derivative(model, state, h, kept)
 
     def stage(carry: tuple[State, State], node_weight: Array) -> tuple[tuple[State, State], None]:
         slope, total = carry
         node, weight = node_weight
-        slope, _ = derivative(model, _along(state, slope, node * h), h, kept)
+        slope = derivative(model, _along(state, slope, node * h), h, kept)[0]
         return (slope, _along(total, slope, weight)), None
 
     total = _along(jax.tree.map(jnp.zeros_like, state), first, WEIGHTS[0])
     rest = jnp.array([NODES[1:], WEIGHTS[1:]]).T
     (_, total), _ = jax.lax.scan(stage, (first, total), rest)
     after = _along(state, total, h)
-    return replace(after, time=state.time + h, grip=stick.bounded(after.grip)), touching
+    return replace(after, time=state.time + h, stretch=stretch, grip=stick.bounded(after.grip)), touching
