@@ -70,6 +70,14 @@ def test_like_parts_are_independent_unless_tied():
     assert [i.name for i in tied.inputs] == ["radius"]
 
 
+def test_numbers_of_one_part_have_names_of_their_own():
+    place = {"path": ["rollers.pinch.center[0]", "rollers.pinch.center[1]"], "sigma": 0.01}
+    sheet = {"path": ["sheets.strip.thickness", "sheets.strip.curl"], "sigma": 1e-4}
+    study = problem(tolerances={"place": place, "sheet": sheet})
+    paths = [*(f"place[{p}]" for p in place["path"]), *(f"sheet[{p}]" for p in sheet["path"])]
+    assert [i.name for i in study.inputs] == paths
+
+
 def test_a_group_is_drawn_together():
     rubber = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "sigma": 0.05, "group": "batch"}
     study = problem(tolerances={"rubber": rubber | {"correlation": 0.6}, "preload": PINCH})
@@ -104,6 +112,23 @@ def test_a_problem_survives_the_way_to_another_machine():
     assert [i.name for i in there.inputs] == [i.name for i in study.inputs]
 
 
+def test_studies_whose_numbers_are_drawn_in_another_order_are_not_the_same():
+    radius = {"path": "rollers.drive.radius", "sigma": 0.01}
+    one, other = {"preload": PINCH, "radius": radius}, {"radius": radius, "preload": PINCH}
+    assert problem(tolerances=one).key != problem(tolerances=other).key
+
+
+def test_a_longest_step_that_is_not_given_is_no_bound_on_any_machine():
+    chosen = {k: v for k, v in BASE.items() if k != "dt"} | {"step_tolerance": 1e-3}
+    study, bounded = (make_tolerance(table, scene=nip()) for table in (chosen, chosen | {"dt": 2e-4}))
+    assert study.study.dt == bounded.study.dt, "the default has another value: this test says nothing"
+    assert study.key != bounded.key
+    for one, dt in ((study, None), (bounded, 2e-4)):
+        there = unpacked(packed(one))
+        assert there.study.stepping["dt"] == dt
+        assert there.key == one.key
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -111,6 +136,11 @@ def test_a_problem_survives_the_way_to_another_machine():
          'tolerances.a: "rollers.pnich.preload": rollers has no "pnich"; did you mean "pinch"?'),
         ({"tolerances": {"a": {"path": "sheets.strip.bars", "sigma": 0.1}}}, '"sheets.strip.bars" is not a number'),
         ({"tolerances": {"a": {"path": "rollers.pinch.center", "sigma": 0.1}}}, "holds 2 numbers"),
+        ({"tolerances": {"a": {"path": "rollers.pinch.travel_max", "sigma": 0.1}}}, "holds nothing"),
+        ({"tolerances": {"a": {"path": "rollers.drive.angular_speed", "sigma": 0.1}}},
+         "path must name one number, but rollers.drive.angular_speed holds Profile("),
+        ({"tolerances": {"a": {"path": ["rollers.pinch.preload"] * 2, "sigma": 0.1}}},
+         "tolerances.a: each number or part must be named once, but rollers.pinch.preload is named again"),
         ({"tolerances": {"a": PINCH | {"sigma": -0.1}}}, "tolerances.a.sigma must be greater than 0, but is -0.1"),
         ({"tolerances": {"a": PINCH | {"tolerance": 0.1}}}, "exactly one of tolerance and sigma must be given"),
         ({"tolerances": {"a": PINCH | {"kind": "truncated_normal", "limits": [0.1, 0.2]}}},
@@ -129,6 +159,12 @@ def test_a_problem_survives_the_way_to_another_machine():
                        "y": {"path": "sheets.strip.thickness", "range": [0.1, 0.2]}}}, "lower < upper"),
         ({"latitude": {"x": {"path": "sheets.strip.crul", "range": [-0.1, 0.1]},
                        "y": {"path": "sheets.strip.thickness", "range": [0.1, 0.2]}}}, 'did you mean "curl"'),
+        ({"latitude": {"x": {"path": "rollers.pinch.center", "range": [-0.1, 0.1]},
+                       "y": {"path": "sheets.strip.thickness", "range": [0.1, 0.2]}}},
+         "latitude.x: path must name one number, but rollers.pinch.center holds 2 numbers"),
+        ({"latitude": {"x": {"path": "sheets.strip.curl", "range": [-0.1, 0.1]},
+                       "y": {"path": "rollers.pinch.travel_max", "range": [0.1, 0.2]}}},
+         "latitude.y: path must name one number, but rollers.pinch.travel_max holds nothing"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_in_one_sentence(changes, message):

@@ -19,11 +19,12 @@ from diffeed import measures
 from optimize.asked import StudyError
 from optimize.tolerance import latitude as latitude_of
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
-from optimize.tolerance.folder import Folder, FolderError, read_rows
+from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
-from optimize.tolerance.problem import load_tolerance, make_tolerance
+from optimize.tolerance.problem import load_tolerance, make_tolerance, unpacked
 from optimize.tolerance.replay import replay
-from optimize.tolerance.report import print_summary
+from optimize.tolerance.report import print_summary, write_result
+from optimize.tolerance.run import Rows
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise
 
@@ -144,6 +145,28 @@ def test_sobol_indices_blame_the_preload():
     assert found.total[1] == pytest.approx(0.0, abs=0.05)
 
 
+def test_a_study_that_asks_for_nothing_has_no_slopes():
+    study = problem(nip(), measures={}, limits={})
+    found = slopes(study, np.zeros((3, 2)))
+    assert found.nominal.shape == (0, 2)
+    assert found.samples.shape == (3, 0, 2)
+
+
+def test_blame_falls_on_the_number_that_moves_the_measure_not_on_another_of_its_part():
+    place = {"path": ["rollers.pinch.center[0]", "rollers.pinch.center[1]"], "sigma": 0.01}
+    study = problem(tolerances={"place": place}, limits={})
+    off, nothing = drawn(study), np.zeros(24)
+    summary = summarise(
+        study, Rows(np.arange(24), off, nothing.astype(int), nothing, nothing, off[:, 1:], np.zeros((24, 0), bool))
+    )
+    assert len(summary["inputs"]) == 2
+    screen = Console(file=io.StringIO(), width=120)
+    print_summary(screen, summary)
+    first, second = (line for line in screen.file.getvalue().splitlines() if "rollers.pinch" in line)
+    assert first.split() == ["place[rollers.pinch.center[1]]", "100", "%"]
+    assert second.startswith("place[rollers.pinch.center[0]]")
+
+
 # --- the same however it is run -----------------------------------------------------------------------------------------
 
 
@@ -173,6 +196,15 @@ def test_resuming_a_truncated_study_gives_the_same_bits(rows, tmp_path):
     assert same((v[:24] for v in more), rows)
 
 
+def test_fewer_samples_leave_the_rows_of_the_others(rows, tmp_path):
+    folder = tmp_path / "made"
+    run_study(problem(), here(problem(), 8), folder)
+    text = (folder / "samples.csv").read_bytes()
+    fewer = run_study(problem(samples=10), None, folder, resume=True)
+    assert same(fewer, [v[:10] for v in rows])
+    assert (folder / "samples.csv").read_bytes() == text
+
+
 def test_only_rows_of_the_numbers_that_are_asked_for_are_kept(rows, tmp_path):
     """The runs of 2 Sobol points and those of 4 have the same numbers, and other deviations."""
     study = problem()
@@ -192,6 +224,11 @@ def test_an_earlier_study_is_compared_sample_by_sample(rows, tmp_path):
     assert same(read_rows(tmp_path / "made", fewer, drawn(fewer)), [v[:10] for v in rows])
     with pytest.raises(FolderError, match="drew other deviations"):
         read_rows(tmp_path / "made", problem(seed=1), drawn(problem(seed=1)))
+    other = problem(limits={})
+    with pytest.raises(
+        FolderError, match="headings of this study; compare studies of the same tolerances, measures and"
+    ):
+        read_rows(tmp_path / "made", other, drawn(other))
 
 
 def test_indices_of_a_group_are_refused_before_anything_is_run():
@@ -205,7 +242,7 @@ def test_a_folder_belongs_to_one_study(rows, tmp_path):
     run_study(problem(samples=2), here(problem(), 2), folder)
     with pytest.raises(FolderError, match="already holds a study; add --resume"):
         run_study(problem(samples=2), None, folder)
-    with pytest.raises(FolderError, match="holds another study"):
+    with pytest.raises(FolderError, match="holds another study; name another folder, or give --force instead of"):
         run_study(problem(seed=1), None, folder, resume=True)
     with pytest.raises(FolderError, match="holds no study to resume"):
         run_study(problem(), None, tmp_path / "none", resume=True)
@@ -219,6 +256,23 @@ def test_a_folder_belongs_to_one_study(rows, tmp_path):
     (folder / "samples.csv").write_text("\n".join([lines[0], lines[1].replace("passed", "psased"), lines[2]]) + "\n")
     with pytest.raises(FolderError, match="line 2 cannot be read"):
         run_study(problem(samples=2), None, folder, resume=True)
+
+
+def test_a_study_is_replaced_with_its_pictures_and_its_users_files_stay(rows, tmp_path):
+    """Its old pictures would look like those of the new study."""
+    folder, study = tmp_path / "made", problem()
+    run_study(study, here(study, 8), folder)
+    made = write_result(folder, study, rows, summarise(study, rows), pictures=True)
+    assert set(made) >= {*PICTURES, *pictures_of("fed"), *pictures_of("force")}
+    for name in (f"{INDICES}.csv", *names_of(3)):
+        (folder / name).write_text("")
+    mine = {"parts.csv", "my_histogram.png", "force_histogram.csv", "sample_3_mine.toml"}
+    for name in mine:
+        (folder / name).write_text("mine")
+    new = Folder(folder, problem(seed=1, measures={}, limits={}))
+    new.start(resume=False, force=True)
+    new.close()
+    assert {p.name for p in folder.iterdir()} == mine | {"study.json", "samples.csv"}
 
 
 def test_two_runs_do_not_write_into_one_folder(tmp_path):
@@ -241,6 +295,29 @@ def test_a_full_disk_is_told_and_keeps_what_is_there(rows, tmp_path):
         folder.add(rows)
     with contextlib.suppress(OSError):
         folder.close()
+
+
+def test_a_worker_gets_numbers_and_measures_in_the_order_of_the_study(monkeypatch):
+    """Rows come back by place: a study that was sorted on its way would move the wrong part."""
+    distributed = pytest.importorskip("dask.distributed")
+    from optimize.tolerance.cluster import on_cluster
+
+    class Task:
+        def __init__(self, function, text, *given, **how):
+            self.result, self.release = lambda: unpacked(json.loads(text)), lambda: None
+
+    class Client:
+        submit = Task
+
+    monkeypatch.setattr(distributed, "as_completed", iter)
+    tolerances, limit = STUDY["tolerances"], STUDY["limits"]["force"]
+    study = problem(
+        tolerances={name: tolerances[name] for name in ("spring", "preload")}, samples=4,
+        limits={"zero": {"measure": "fed", "at_least": -1e3}, "force": limit},
+    )  # fmt: skip
+    (there,) = on_cluster(study, Client(), 4)(np.arange(4), drawn(study))
+    assert [i.name for i in there.inputs] == ["spring", "preload"]
+    assert [a.name for a in there.asked] == ["fed", "zero", "force"]
 
 
 @pytest.mark.slow
@@ -315,6 +392,17 @@ def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):
     assert float(scene.rollers["pinch"].preload) == pytest.approx(3.0 + rows.deviation[7, 0], rel=1e-12)
     with pytest.raises(ValueError, match="samples 0 to 23"):
         replay(problem(), 24, tmp_path)
+
+
+def test_no_sample_of_another_study_is_written_beside_the_rows(tmp_path):
+    study = problem(sampling="latin_hypercube")
+    kept = Folder(tmp_path, study)
+    kept.start(resume=False, force=False)
+    kept.close()
+    for other in (study.changed(samples=12), problem(sampling="latin_hypercube", seed=1)):
+        with pytest.raises(FolderError, match=r"holds another study; name another folder$"):
+            replay(other, 7, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"study.json", "samples.csv"}
 
 
 def test_shipped_study_fits_its_scene():

@@ -129,7 +129,7 @@ def _run(
     chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool, **_: Any,
 ) -> None:  # fmt: skip
     from optimize.tolerance import contributions
-    from optimize.tolerance.folder import Folder, read_rows
+    from optimize.tolerance.folder import INDICES, Folder, read_rows
     from optimize.tolerance.report import print_summary, write_result
     from optimize.tolerance.study import drawn, run_study
     from optimize.tolerance.summary import fails, summarise
@@ -144,7 +144,7 @@ def _run(
         found = None
         if indices:
             total = indices * (len(problem.inputs) + 2)
-            folder = Folder(out, problem, "indices") if out else None
+            folder = Folder(out, problem, INDICES) if out else None
             with _bar(total, "runs for indices") as show:
                 found = contributions.indices(problem, indices, runner, folder, resume=resume, show=show)
     slopes = None
@@ -161,7 +161,8 @@ def _run(
 
 
 def _replay(problem: Any, out: Path, samples: tuple[int, ...], force: bool) -> None:
-    from optimize.tolerance.replay import names_of, replay
+    from optimize.tolerance.folder import names_of
+    from optimize.tolerance.replay import replay
 
     for sample in samples:
         if not force:

@@ -47,7 +47,7 @@ def on_cluster(problem: ToleranceProblem, client: Any, chunk: int = TOGETHER) ->
     import jax
     from dask.distributed import as_completed
 
-    text, precise = json.dumps(packed(problem), sort_keys=True), bool(jax.config.values["jax_enable_x64"])
+    text, precise = json.dumps(packed(problem)), bool(jax.config.values["jax_enable_x64"])
 
     def run(sample: np.ndarray, deviation: np.ndarray) -> Iterator[Rows]:
         tasks = [

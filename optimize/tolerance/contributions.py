@@ -35,7 +35,8 @@ def slopes(problem: ToleranceProblem, deviation: np.ndarray) -> Slopes:
     points, rest = np.concatenate([np.zeros((1, deviation.shape[1])), deviation]), rest_of(problem)
     asked = range(len(problem.asked))
     rows = [np.column_stack([points, np.full(len(points), k)]) for k in asked]
-    whole = np.stack([each.all_of(r, rest) for r in rows], axis=1)
+    # (asked, samples, inputs), also for a study that asks for nothing
+    whole = np.reshape([each.all_of(r, rest) for r in rows], (len(rows), *points.shape)).swapaxes(0, 1)
     return Slopes(whole[0], whole[1:])
 
 

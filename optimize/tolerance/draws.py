@@ -123,7 +123,9 @@ def _targets(of: Tolerance) -> list[tuple[str | None, Moved]]:
         single = [Moved(shift=[p], direction=of.direction) for p in several]
     else:
         single = [Moved(turn=[p], about=of.about) for p in several]
-    return [(_part(p), what) for p, what in zip(several, single, strict=True)]
+    parts = [_part(p) for p in several]
+    labels = parts if len(set(parts)) == len(parts) else several  # two numbers of one part: only whole paths differ
+    return list(zip(labels, single, strict=True))
 
 
 def _part(path: str) -> str:
@@ -149,20 +151,25 @@ def _input(
         for part in (*(what.shift or ()), *(what.turn or ())):
             if not free.places(scene, part):
                 raise ValueError(f"{part} has no place that could move; name rollers or guides")
-        values = [diffeed.get(scene, p) for p in what.paths]
-        for path, value in zip(what.paths, values, strict=True):
-            diffeed.unit(scene, path)
-            if np.ndim(value) or isinstance(value, str) or value is None:
-                raise ValueError(f"path must name one number, but {path} holds {shown(value)}")
+        values = [number_at(scene, p) for p in what.paths]
         unit = free.unit_text(scene, what)
     except ValueError as error:
         problems.append(f"{where}: {error}")
         return None
-    nominal = float(values[0]) if values else 0.0
+    nominal = values[0] if values else 0.0
     share = of.relative or of.kind == "log_normal"
     if share and nominal == 0.0:
         problems.append(f"{where}: a share of a number that is 0 is always 0; give the tolerance in {unit}")
     return Input(label, of, what, "1" if share else unit, column, nominal, None)
+
+
+def number_at(scene: diffeed.Scene, path: str) -> float:
+    """The number at a path. ValueError for a path that leads nowhere, or to anything but one number."""
+    value = diffeed.get(scene, path)
+    diffeed.unit(scene, path)
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "fi":  # a vector, a profile, or nothing
+        raise ValueError(f"path must name one number, but {path} holds {shown(value)}")
+    return float(value)
 
 
 def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.ndarray | None:

@@ -8,6 +8,7 @@ import contextlib
 import csv
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,30 @@ import numpy as np
 from diffeed import measures
 from diffeed.files import write_whole
 from diffeed.folders import DRAFT, Lock, OutputError, plain_errors
+from diffeed.words import NAME
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen, joined
 
 MARK, RESULT = "study.json", "result.json"
 """The result is written last, by `optimize.tolerance.report`: a folder that holds it is complete."""
+SAMPLES, INDICES = "samples", "indices"
+"""Tables: of the samples, and of the runs for the Sobol indices."""
+PICTURES = ("convergence.png", "tighten.png")
+"""Of a whole study."""
 FIXED = ("sample", "status", "reason", "time")
+_ASKED = re.compile(rf"(?:measure|limit) ({NAME.pattern})")
+"""A measure or limit in the headings of a table."""
+_REPLAYED = re.compile(r"sample_[0-9]+\.(?:toml|html)")
+
+
+def pictures_of(name: str) -> tuple[str, str, str]:
+    """The pictures of a measure or limit: how it scatters, the same added up, what is to blame."""
+    return f"{name}_histogram.png", f"{name}_distribution.png", f"{name}_contributions.png"
+
+
+def names_of(sample: int) -> tuple[str, str]:
+    """The files of a sample: its scene, and last its animation."""
+    return f"sample_{sample}.toml", f"sample_{sample}.html"
 
 
 class FolderError(Exception):
@@ -29,9 +48,9 @@ class FolderError(Exception):
 
 
 class Folder:
-    """Writes and reads the rows of one study. `name`: which of its tables (samples, or the runs of the Sobol indices)."""
+    """Writes and reads the rows of one study. `name`: which of its tables, SAMPLES or INDICES."""
 
-    def __init__(self, place: Path, problem: ToleranceProblem, name: str = "samples") -> None:
+    def __init__(self, place: Path, problem: ToleranceProblem, name: str = SAMPLES) -> None:
         self.place, self.problem = place, problem
         self.table = place / f"{name}.csv"
         self._stream: Any = None
@@ -59,8 +78,10 @@ class Folder:
         mark = self.place / MARK
         if mark.exists():
             self._held = self._held or Lock(self.place)
-        if resume or (self.table.name != "samples.csv" and not force):
-            self._same_study(mark)
+        if resume or (self.table.stem != SAMPLES and not force):
+            if not mark.exists():
+                raise FolderError(f"{self.place} holds no study to resume")
+            self.refuse_another(", or give --force instead of --resume to replace it")
         elif mark.exists() and not force:
             raise FolderError(
                 f"{self.place} already holds a study; add --resume to go on with it, --force to replace it, or name "
@@ -68,7 +89,8 @@ class Folder:
             )
         else:
             self._begin(mark)
-        kept, done = self._read() if self.table.exists() else ("", None)
+        remedy = "give --force instead of --resume to begin anew"
+        kept, done = self._read(remedy) if self.table.exists() else ("", None)
         if done is None:
             kept = _line(self.columns)
         (self.place / RESULT).unlink(missing_ok=True)  # the folder is not complete until it is written again
@@ -81,13 +103,35 @@ class Folder:
             raise FolderError(f"{self.place} holds other files; name an empty folder or a new one")
         self.place.mkdir(parents=True, exist_ok=True)
         self._held = self._held or Lock(self.place)
-        for old in [*self.place.glob("*.csv"), self.place / RESULT]:
-            old.unlink(missing_ok=True)
+        for old in self._written():
+            (self.place / old).unlink(missing_ok=True)
         write_whole(mark, json.dumps({"study": self.problem.key, "title": self.problem.study.title}) + "\n")
 
+    def _written(self) -> list[str]:
+        """What the study that is here wrote; all else is its user's. Last the table whose headings tell the names."""
+        table, headings = f"{SAMPLES}.csv", ""
+        if (self.place / table).exists():
+            with (self.place / table).open(encoding="utf-8", errors="replace") as stream:
+                headings = stream.readline()
+        pictures = [picture for name in _ASKED.findall(headings) for picture in pictures_of(name)]
+        replayed = [path.name for path in self.place.iterdir() if _REPLAYED.fullmatch(path.name)]
+        return [RESULT, *PICTURES, *pictures, *replayed, f"{INDICES}.csv", table]
+
+    def refuse_another(self, otherwise: str = "") -> None:
+        """FolderError where another study is in the folder, with what may be done instead of naming another folder."""
+        mark = self.place / MARK
+        if not mark.exists():
+            return
+        try:
+            owner = json.loads(mark.read_text("utf-8"))["study"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise FolderError(f"{mark} cannot be read ({error}); name another folder{otherwise}") from error
+        if owner != self.problem.key:
+            raise FolderError(f"{self.place} holds another study; name another folder{otherwise}")
+
     def rows(self) -> Rows | None:
-        """The rows that are on disk."""
-        return self._read()[1]
+        """The rows that are on disk, to compare with."""
+        return self._read("compare studies of the same tolerances, measures and limits")[1]
 
     def add(self, rows: Rows) -> None:
         try:
@@ -122,25 +166,15 @@ class Folder:
         broken = ["1" if b else "0" for b in rows.broken[k]]
         return [*head, *(repr(float(v)) for v in numbers), *broken, *(repr(float(v)) for v in rows.deviation[k])]
 
-    def _same_study(self, mark: Path) -> None:
-        if not mark.exists():
-            raise FolderError(f"{self.place} holds no study to resume")
-        try:
-            owner = json.loads(mark.read_text("utf-8"))["study"]
-        except (ValueError, KeyError, TypeError) as error:
-            raise FolderError(f"{mark} cannot be read ({error}); add --force to begin anew") from error
-        if owner != self.problem.key:
-            raise FolderError(f"{self.place} holds another study; name another folder, or add --force to replace it")
-
-    def _read(self) -> tuple[str, Rows | None]:
-        """The text of the whole lines, and the rows in them."""
+    def _read(self, remedy: str) -> tuple[str, Rows | None]:
+        """The text of the whole lines, and the rows in them. `remedy`: for the table of a study that asked for other things."""
         text = self.table.read_text("utf-8")
         whole = text[: text.rfind("\n") + 1]
         lines = list(csv.reader(io.StringIO(whole)))
         if not lines:
             return "", None
         if lines[0] != self.columns:
-            raise FolderError(f"{self.table} does not start with the headings of this study; add --force to begin anew")
+            raise FolderError(f"{self.table} does not start with the headings of this study; {remedy}")
         found = []
         for number, words in enumerate(lines[1:], start=2):
             try:

@@ -10,6 +10,7 @@ from jax import Array
 import diffeed
 from diffeed import measures
 from optimize.programs import kept
+from optimize.tolerance.draws import number_at
 from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
 from optimize.tolerance.records import Axis, Latitude
 from optimize.tolerance.run import bytes_of, run_of
@@ -69,4 +70,4 @@ def _label(problem: ToleranceProblem, axis: Axis) -> str:
 def _nominal(problem: ToleranceProblem, axis: Axis) -> float:
     if axis.climate is not None:
         return problem.cards[axis.climate][1]
-    return float(diffeed.get(problem.scene, axis.paths[0]))
+    return number_at(problem.scene, axis.paths[0])

@@ -18,7 +18,7 @@ from optimize.asked import Asked, StudyError, changed, resolved, run_problems
 from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence
 from optimize.tolerance import media
-from optimize.tolerance.draws import Input, cards_of, inputs_of
+from optimize.tolerance.draws import Input, cards_of, inputs_of, number_at
 from optimize.tolerance.records import Axis, Latitude, Tolerance, ToleranceStudy
 
 RECORDS = {
@@ -57,11 +57,12 @@ class ToleranceProblem:
     def key(self) -> str:
         """Equal for problems whose sample i is the same. The number of samples counts only where the draws depend on it."""
         left_out = {"title", "latitude", "scene"} | ({"samples"} if self.study.sampling != "latin_hypercube" else set())
-        study = self.study.model_dump(mode="json", exclude=left_out)
+        # With a step_tolerance a dt that is not given is no bound, whatever its default says.
+        study = self.study.model_dump(mode="json", exclude=left_out) | self.study.stepping
         for tolerance in study["tolerances"].values():
             tolerance.pop("cost")
         columns = [i.column.tolist() for i in self.inputs if i.column is not None]
-        text = json.dumps([study, columns, diffeed.scene_text(self.scene)], sort_keys=True)
+        text = json.dumps([study, columns, diffeed.scene_text(self.scene)])  # draws are in the order of the file
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -131,7 +132,7 @@ def _axis_problems(where: str, axis: Axis, scene: diffeed.Scene, cards: dict[str
     found = []
     for path in axis.paths:
         try:
-            diffeed.unit(scene, path)
+            number_at(scene, path)
         except ValueError as error:
             found.append(f"{where}: {error}")
     return found
@@ -139,9 +140,10 @@ def _axis_problems(where: str, axis: Axis, scene: diffeed.Scene, cards: dict[str
 
 def packed(problem: ToleranceProblem) -> dict[str, Any]:
     """Plain values from which `unpacked` makes the same problem on another machine: files are left behind."""
-    table = problem.study.model_dump(mode="json", exclude_none=True)
+    # Only what was given: with a step_tolerance a dt that is not given is no bound.
+    table = problem.study.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     for tolerance in table["tolerances"].values():
-        if tolerance["kind"] == "data":  # deviations are drawn at home: any family will do
+        if tolerance.get("kind") == "data":  # deviations are drawn at home: any family will do
             del tolerance["file"], tolerance["column"]
             tolerance |= {"kind": "normal", "sigma": 1.0}
     return {"study": table, "scene": diffeed.scene_text(problem.scene)}

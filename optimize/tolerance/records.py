@@ -49,6 +49,13 @@ class Tolerance(Moved):
     meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "climate")
 
     @model_validator(mode="after")
+    def _named_once(self) -> "Tolerance":
+        for moved in (self.paths, self.shift or [], self.turn or []):
+            if twice := sorted({name for name in moved if moved.count(name) > 1}):
+                raise ValueError(f"each number or part must be named once, but {', '.join(twice)} is named again")
+        return self
+
+    @model_validator(mode="after")
     def _one_size(self) -> "Tolerance":
         if self.kind == "data":
             if self.file is None or self.column is None:
@@ -115,8 +122,6 @@ class Latitude(Record):
 class ToleranceStudy(Runs):
     """A scene, how its numbers scatter, what is measured, what must hold, and how to sample."""
 
-    dt: Positive = 2e-4
-    """s: longest step."""
     media: dict[Name, str] = Field(default_factory=dict)
     """Media card of a sheet by its name: "copy_paper_80", or with a climate "copy_paper_80/humid"."""
     tolerances: Annotated[dict[Name, Tolerance], Field(min_length=1)]

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 import diffeed
 from diffeed import measures, player
+from optimize.tolerance.folder import Folder, names_of
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
 from optimize.tolerance.run import run_of
@@ -20,13 +21,12 @@ def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
     return sampled(problem.inputs, problem.scene, jnp.asarray(drawn(problem)[sample]))
 
 
-def names_of(sample: int) -> tuple[str, str]:
-    """The files of a sample: its scene, and last its animation."""
-    return f"sample_{sample}.toml", f"sample_{sample}.html"
-
-
 def replay(problem: ToleranceProblem, sample: int, folder: Path) -> tuple[Path, str]:
-    """Write `sample_<i>.html` (its animation) and `sample_<i>.toml` (its scene); the path of the first and the verdict."""
+    """Write `sample_<i>.html` (its animation) and `sample_<i>.toml` (its scene); the path of the first and the verdict.
+
+    FolderError, before anything is run, where the folder holds another study: its sample of that number is another machine.
+    """
+    Folder(folder, problem).refuse_another()
     scene = sample_scene(problem, sample)
     run = run_of(problem, scene, rest_of(problem))
     folder.mkdir(parents=True, exist_ok=True)

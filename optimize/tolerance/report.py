@@ -10,7 +10,7 @@ from diffeed import plot_style
 from diffeed.files import plain, write_whole
 from diffeed.terminal import plain_table
 from optimize.tolerance import charts
-from optimize.tolerance.folder import RESULT
+from optimize.tolerance.folder import PICTURES, RESULT, pictures_of
 from optimize.tolerance.latitude import Map
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
@@ -113,18 +113,16 @@ def write_result(
 def _pictures(
     folder: Path, problem: ToleranceProblem, rows: Rows, summary: dict[str, Any], before: Rows | None
 ) -> list[str]:
-    made: dict[str, Any] = {"convergence.png": lambda: charts.convergence(*convergence(~rows.passed))}
+    converged, tightened = PICTURES
+    made: dict[str, Any] = {converged: lambda: charts.convergence(*convergence(~rows.passed))}
     inputs = [i.name for i in problem.inputs]
     for k, asked in enumerate(problem.asked):
         label = f"{asked.name}, {asked.term.unit}" if asked.term.unit != "1" else asked.name
         was = before.values[:, k] if before is not None else None
         values, limits = rows.values[:, k], limits_of(asked)
-        made[f"{asked.name}_histogram.png"] = lambda v=values, t=label, e=limits, w=was: charts.histogram(
-            v, t, e, before=w
-        )
-        made[f"{asked.name}_distribution.png"] = lambda v=values, t=label, e=limits, w=was: charts.distribution(
-            v, t, e, before=w
-        )
+        histogram, distribution, contributions = pictures_of(asked.name)
+        made[histogram] = lambda v=values, t=label, e=limits, w=was: charts.histogram(v, t, e, before=w)
+        made[distribution] = lambda v=values, t=label, e=limits, w=was: charts.distribution(v, t, e, before=w)
         blame = summary["contributions"][asked.name]
         shares = {
             words: np.array([np.nan if v is None else v for v in blame[key]])
@@ -132,11 +130,11 @@ def _pictures(
             if blame.get(key) is not None and any(v is not None for v in blame[key])
         }
         if shares and len(values) > 1:
-            made[f"{asked.name}_contributions.png"] = lambda s=shares: charts.contributions(inputs, s)
+            made[contributions] = lambda s=shares: charts.contributions(inputs, s)
     tighter = {n: v for n, v in summary["tighten"].items() if v["gain"] is not None and v["error"] is not None}
     if tighter:
         gain, error = (np.array([v[key] for v in tighter.values()]) for key in ("gain", "error"))
-        made["tighten.png"] = lambda: charts.gains(list(tighter), gain, error, TIGHTER)
+        made[tightened] = lambda: charts.gains(list(tighter), gain, error, TIGHTER)
     for name, draw in made.items():
         plot_style.save(folder / name, draw)
     return list(made)

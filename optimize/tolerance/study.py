@@ -55,12 +55,15 @@ def run_rows(
     force: bool = False,
     show: Show | None = None,
 ) -> Rows:
-    """Rows for deviations (n, inputs), those in the folder not run again. Raises FolderError before anything is run."""
+    """Rows for deviations (n, inputs), those in the folder not run again; rows beyond them stay in it. Raises FolderError
+    before anything is run."""
     done = folder.start(resume, force) if folder else None
     parts: list[Rows] = []
+    spare: list[Rows] = []
     if done is not None:
-        # Only rows of the very numbers that are asked for: other runs of indices number theirs alike.
         known = done.sample < len(deviation)
+        spare.append(chosen(done, ~known))  # of a study that asked for more: they stay, and may be asked for again
+        # Only rows of the very numbers that are asked for: other runs of indices number theirs alike.
         known[known] = (done.deviation[known] == deviation[done.sample[known]]).all(axis=1)
         usable = chosen(done, known)
         _, first = np.unique(usable.sample, return_index=True)
@@ -79,7 +82,7 @@ def run_rows(
                     show(total, failed, len(rows.sample))
         whole = joined(parts)
         if folder:
-            folder.sort(whole)
+            folder.sort(joined([whole, *spare]))
     finally:
         if folder:
             folder.close()
