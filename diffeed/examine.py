@@ -113,7 +113,7 @@ def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
     settled afterwards may have)."""
     if not gap.size:
         return []
-    layout, half = model.layout, np.asarray(model.bars.half_thickness)
+    layout, half = model.layout, model.bars.half_thickness
     halves, found = np.asarray(to_nodes(layout, half, half)), []
     for index, (name, row) in enumerate(zip(model.body_names, np.asarray(gap), strict=True)):
         part = f"{'rollers' if index < model.rollers.n else 'guides'}.{name}"

@@ -105,9 +105,9 @@ def cores() -> int:
 
 
 def use_one_core() -> None:
-    """One thread in the compiler's pool, unless `NPROC` is set: to be called before anything is computed. For single runs and their
-    gradients: their loops are too small to be shared, and where a core is slow to wake, handing them to a second one takes longer
-    than doing them. Batches of hundreds are better off without."""
+    """One thread in the compiler's pool, unless `NPROC` is set: to be called before anything is computed. For single runs and
+    their gradients: their loops are too small to be shared, and where a core is slow to wake, handing them to a second one
+    takes longer than doing them. Batches of hundreds are better off without."""
     os.environ.setdefault("NPROC", "1")
 
 

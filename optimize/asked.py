@@ -72,11 +72,20 @@ def shown(value: Any) -> str:
     return f"{np.size(value)} numbers" if np.ndim(value) else "nothing" if value is None else short(value)
 
 
+def number_at(scene: diffeed.Scene, path: str) -> float:
+    """The number at a path. ValueError for a path that leads nowhere, or to anything but one number."""
+    value = diffeed.get(scene, path)
+    diffeed.unit(scene, path)
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "fi":  # a vector, a profile, or nothing
+        raise ValueError(f"path must name one number, but {path} holds {shown(value)}")
+    return float(value)
+
+
 def run_problems(study: Runs, scene: diffeed.Scene, where: str, problems: list[str], runs: int = 1) -> None:
     """Add what `diffeed.check` finds in a scene that is to be run as a study asks; `runs` are computed at once."""
     if study.duration is not None:
         scene = diffeed.put(scene, "duration", study.duration)
-    dt, method, tolerance = study.dt, study.method, study.step_tolerance
+    dt, method, tolerance = study.stepping["dt"], study.method, study.step_tolerance
     found = diffeed.check(scene, dt, method, tolerance, study.frames)
     if not found and (problem := run_problem(scene.duration, None, study.frames, scene_size(scene), runs)):
         found = [problem]

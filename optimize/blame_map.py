@@ -82,7 +82,7 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
     copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)
     slope = kept(("arising", problem.key, spans), lambda: jax.jit(jax.grad(of)))(copies)
     parts = tuple(parts_of(scene))
-    share = np.stack([_size(diffeed.get(slope, part)) for part in parts])
+    share = np.reshape([_size(diffeed.get(slope, part)) for part in parts], (len(parts), spans))
     return Arising(parts, np.linspace(0.0, duration, spans + 1), share)
 
 

@@ -97,7 +97,8 @@ def check(study: str, fuse: bool, out: Path | None, force: bool, samples: int) -
         found = check_study(problem, samples)
         click.echo(str(found))
         if draft:
-            write_check(draft, found)
+            with plain_errors(f"the results were not written to {out}"):
+                write_check(draft, found)
     if out:
         click.echo(f"written to {out}: {', '.join(FILES)}")
 
@@ -125,7 +126,8 @@ def compare(study: str, fuse: bool, out: Path | None, force: bool, budget: int) 
         found = run(problem, budget, lambda text: click.echo(text, err=True))
         click.echo(table(found))
         if draft:
-            write_comparison(draft, found)
+            with plain_errors(f"the results were not written to {out}"):
+                write_comparison(draft, found)
     if out:
         click.echo(f"written to {out}: {', '.join(FILES)}")
 
@@ -207,6 +209,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
 
     jax.config.update("jax_enable_x64", True)
     (tuning.fuse_outputs if fuse else tuning.compile_quickly)()
+    tuning.use_one_core()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)
     from optimize.asked import StudyError

@@ -99,13 +99,15 @@ def compare(problem: Problem, budget: int, say: Callable[[str], None] = lambda t
 def _gradient(problem: Problem, of: Callable[[np.ndarray], float], ratio: float, budget: int, at_start: float) -> Trace:
     cost, best = [1.0], [at_start]
     progress: Progress = begin(problem)
+    # Gradients in what `ratio` is the cost of: those of one point, its draws, media and machines.
+    point = len(Evaluator(problem).draws) * len(problem.media) * len(problem.deviations())
     for _ in search(problem, progress):
-        spent = ratio * progress.iteration
+        spent = ratio * progress.counts.gradients / point  # of all starts, and of the steps of a line search
         if spent > budget:
             break
         # Scored as the others are; the scoring itself is not charged, for the search has that value already.
         cost.append(spent)
-        best.append(min(best[-1], of(progress.good[0])))
+        best.append(min(best[-1], *map(of, progress.good)))
     return Trace("gradient", np.array(cost), np.array(best))
 
 

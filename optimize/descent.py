@@ -273,21 +273,27 @@ def _line(problem: Problem, progress: Progress, found: Evaluated) -> Line:
 def stop(problem: Problem, progress: Progress) -> None:
     """Set the reason, or move on to the next stage."""
     search, stages = problem.study.search, stages_of(problem)
-    done = sum(s.iterations for s in stages[: progress.stage + 1])
+    done = progress.iteration >= sum(s.iterations for s in stages[: progress.stage + 1])
     last = progress.stage == len(stages) - 1
     if (progress.falls >= ROLLBACKS).all() or not np.isfinite(progress.level).any():
         progress.reason = "every start failed: no step from them gives a run that holds"
-    elif search.goal is not None and progress.merit.min() <= search.goal:
+        return
+    if done and not last:  # even if the time is used up just now: a search that goes on begins with the next stage
+        _next_stage(problem, progress)
+    if search.goal is not None and progress.merit.min() <= search.goal:
         progress.reason = f"the objective reached the goal {search.goal:g}"
     elif search.seconds is not None and progress.seconds >= search.seconds:
         progress.reason = f"the time of {search.seconds:g} s is used up"
     elif last and progress.iteration - progress.since >= search.patience and np.isfinite(progress.merit).any():
         progress.reason = f"no gain of more than {search.gain:g} in {search.patience} iterations"
-    elif progress.iteration >= done and last:
+    elif last and done:
         progress.reason = f"{progress.iteration} iterations are done"
-    elif progress.iteration >= done:
-        progress.stage += 1
-        progress.since = progress.iteration
-        progress.unit = progress.best.copy()
-        progress.state = _fresh(problem, progress.unit, progress.stage)
-        progress.level = np.where(progress.falls < ROLLBACKS, progress.level, np.inf)
+
+
+def _next_stage(problem: Problem, progress: Progress) -> None:
+    """From the best points so far, with a fresh optimiser."""
+    progress.stage += 1
+    progress.since = progress.iteration
+    progress.unit = progress.best.copy()
+    progress.state = _fresh(problem, progress.unit, progress.stage)
+    progress.level = np.where(progress.falls < ROLLBACKS, progress.level, np.inf)

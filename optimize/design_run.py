@@ -74,6 +74,9 @@ def design(
 ) -> Result:
     """Improve a machine as a study asks. With a `folder` every iteration is kept there and `resume` goes on with it.
 
+    The folder then holds the search alone, `history.jsonl` and `state.npz`; `write_result(folder, result)` of
+    `optimize.report` adds the improved scene, the pictures and the numbers, as the command does.
+
     Ctrl-C ends the search, not the result: the best point so far is scored and returned. `scene` replaces the study's.
     Raises StudyError for a study that cannot be used, JournalError for a folder that cannot.
     """

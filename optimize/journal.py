@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ import jax
 import numpy as np
 
 from diffeed.files import plain, replacing, write_whole
-from diffeed.folders import Lock, OutputError, plain_errors
+from diffeed.folders import Lock, OutputError, plain_errors, refuse_overwriting
 from diffeed.words import short
 from optimize.descent import Line, Progress, begin, stop
 from optimize.evaluate import Counts
@@ -25,6 +26,11 @@ from optimize.problem import Problem
 
 HISTORY, STATE, SUMMARY = "history.jsonl", "state.npz", "result.json"
 """The summary is written last, by `optimize.report`: a folder that holds it is complete."""
+FILES = (
+    "scene.toml", "before_after.html", "history.png", "variables.png", "blame_before.png", "blame_after.png",
+    "when_before.png", SUMMARY,
+)  # fmt: skip
+"""What `optimize.report` writes beside a search."""
 
 
 class JournalError(Exception):
@@ -42,8 +48,11 @@ def refusing_folder(what: str) -> Iterator[None]:
 
 
 def fingerprint(problem: Problem) -> str:
-    """What a search belongs to: the study (budgets aside) and the scenes as run."""
+    """What a search belongs to: the study (budgets aside) and the scenes as run. Earlier stages must stay as long as they
+    were: where the last one begins follows from them."""
     search = problem.study.search.model_dump(mode="json", exclude={"seconds", "iterations", "patience", "goal"})
+    for last in search["stages"][-1:]:
+        del last["iterations"]
     return hashlib.sha256(json.dumps([search, problem.key], sort_keys=True).encode()).hexdigest()
 
 
@@ -77,6 +86,8 @@ class Journal:
                 f"{self.folder} already holds a search; add --resume to go on with it, --force to replace it, "
                 "or name another folder"
             )
+        if not (resume or force):  # results of something else, a run or a study, whole as they are
+            refuse_overwriting(self.folder, tuple(name for name in FILES if os.path.lexists(self.folder / name)))
         if resume and state.exists():
             progress = self._read(state)
             if progress.reason and (self.folder / SUMMARY).exists():

@@ -16,9 +16,8 @@ from jax import Array
 import diffeed
 from diffeed.names import nearest
 from optimize import variables as free
-from optimize.asked import Asked, StudyError, changed, resolved, run_problems, shown, values_of, violations
+from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
 from optimize.study import Goal, Study
-from optimize.terms import TERMS
 from optimize.tolerance.draws import Input, deviations, inputs_of, uniforms
 from optimize.tolerance.moves import sampled
 
@@ -56,8 +55,11 @@ class Problem:
     @functools.cached_property
     def key(self) -> str:
         """Equal for problems whose runs and terms are the same, however they are searched."""
-        study = self.study.model_dump(mode="json", exclude={"search", "title"})
-        text = json.dumps([study, [diffeed.scene_text(s) for s in self.scenes]], sort_keys=True)
+        # With a step_tolerance a dt that is not given is no bound, whatever its default says.
+        study = self.study.model_dump(mode="json", exclude={"search", "title", "scene"}) | self.study.stepping
+        columns = [i.column.tolist() for i in self.inputs if i.column is not None]
+        scenes = [diffeed.scene_text(s) for s in self.scenes]
+        text = json.dumps([study, columns, scenes])  # in the order of the file: points and limits are in it too
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -274,10 +276,7 @@ def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
         found = []
         for path in variable.paths:
             try:
-                diffeed.unit(scene, path)
-                value = diffeed.get(scene, path)
-                if np.ndim(value) or isinstance(value, str) or value is None:
-                    found.append(f"{where}.path must name one number, but {path} holds {shown(value)}")
+                number_at(scene, path)
             except ValueError as error:
                 found.append(f"{where}.path: {error}")
         for part in (*(variable.shift or ()), *(variable.turn or ())):
@@ -303,7 +302,3 @@ def _setting_problems(study: Study) -> Iterator[str]:
     if study.search.name not in OPTIMISERS:
         known, near = ", ".join(OPTIMISERS), nearest(study.search.name, OPTIMISERS)
         yield f'search.name must be an optimiser of optax ({known}), but is "{study.search.name}"{near}'
-    measured = [s.measure for s in (*study.objective.values(), *study.limits.values()) if s.measure in TERMS]
-    spans = any("spans" in TERMS[name].observe for name in measured)
-    if spans and study.method != "linear_euler":
-        yield f'method must be "linear_euler" for measures of the spans between nips, but is "{study.method}"'

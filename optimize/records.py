@@ -99,7 +99,7 @@ class Runs(Record):
     """Name of a shipped scene, or path of a scene file; a relative one counts from the study file."""
     duration: Positive | None = None
     """s: length of a run; the scene's own if not given."""
-    dt: Positive = 5e-4
+    dt: Positive = 2e-4
     """s: longest step."""
     step_tolerance: Positive | None = None
     """mm: choose steps by their error, none longer than `dt` if that is given."""
@@ -113,6 +113,16 @@ class Runs(Record):
     """Numbers and words of the scene by path, changed before anything else."""
     title: Title = ""
     """For pictures and tables."""
+
+    @model_validator(mode="after")
+    def _a_step_for_each_frame(self) -> "Runs":
+        least = self.frames - 1
+        if self.step_tolerance is not None and self.most_steps < least:
+            raise ValueError(
+                f"most_steps must be at least one for each frame after the first ({least}) with a step_tolerance, "
+                f"but is {self.most_steps}"
+            )
+        return self
 
     @property
     def stepping(self) -> dict[str, Any]:

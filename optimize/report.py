@@ -10,9 +10,9 @@ import diffeed
 from diffeed import player
 from diffeed.files import write_whole
 from diffeed.terminal import plain_table
-from optimize.blame_map import arising, blame
+from optimize.blame_map import arising, blame, parts_of
 from optimize.design_run import Result, Scored, run_of
-from optimize.journal import SUMMARY
+from optimize.journal import FILES, SUMMARY
 from optimize.problem import SLACK
 from optimize.study import Goal, Limit
 
@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 
 WORDS = ("unit", "wanted")
 """Columns of words in the tables."""
-FILES = (
-    "scene.toml", "before_after.html", "history.png", "variables.png", "blame_before.png", "blame_after.png",
-    "when_before.png", SUMMARY,
-)  # fmt: skip
-"""The summary is written last: a folder that holds it is complete."""
 
 
 def summarise(result: Result) -> dict[str, Any]:
@@ -130,9 +125,10 @@ def _keeps(spec: Goal | Limit, value: float) -> bool:
 
 
 def write_result(folder: Path, result: Result, pictures: bool = True) -> list[str]:
-    """Scene, player, pictures and numbers; the names of the files written."""
+    """Scene, player, pictures and numbers, in place of all files of an earlier result; the names of the files written."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / SUMMARY).unlink(missing_ok=True)
+    for name in reversed(FILES):  # the summary first: without it the folder is not complete
+        (folder / name).unlink(missing_ok=True)
     diffeed.save_scene(result.scene, folder / "scene.toml")
     if pictures:
         _write_pictures(folder, result)
@@ -161,5 +157,6 @@ def _write_pictures(folder: Path, result: Result) -> None:
         plot_style.save(
             folder / f"blame_{k}.png", lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found)
         )
-    found = arising(problem, points["before"])
-    plot_style.save(folder / "when_before.png", lambda: pictures.heat_map(found))
+    if parts_of(scenes["before"]):
+        found = arising(problem, points["before"])
+        plot_style.save(folder / "when_before.png", lambda: pictures.heat_map(found))

@@ -3,7 +3,8 @@
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -98,13 +99,9 @@ def _parse(file: Path, where: str, known: list[str]) -> dict[str, Any]:
         ) from None
 
 
-_KINDS = ("list[", "str", "function-")
-"""How pydantic marks the alternatives of a field in the place of an error."""
-
-
 def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseModel]) -> str:
     """One problem in the words of a study file: path, what it must be, what it is. `records`: by section, for hints."""
-    places = [str(p) for p in error["loc"] if p != "[key]" and not (isinstance(p, str) and p.startswith(_KINDS))]
+    places = _places(error, whole)
     where, kind = ".".join(map(key_text, places)), error["type"]
     if kind == "extra_forbidden":
         section = next((p for p in reversed(places[:-1]) if p in records), "")
@@ -114,6 +111,39 @@ def sentence(error: Any, records: dict[str, type[BaseModel]], whole: type[BaseMo
         return f"{where} is missing"
     text = error["msg"].removeprefix("Value error, ")
     if kind == "value_error":
-        return f"{where}: {text}"
+        return f"{where}: {text}" if where else text
     text = text.removeprefix("Input should be ").replace("Input should have", "something with")
     return f"{where} must be {text}, but is {short(error.get('input'))}"
+
+
+def _places(error: Any, whole: type[BaseModel]) -> list[str]:
+    """Where in the file an error is. Pydantic's place also says which of a field's alternatives it tried (path.str,
+    path.list[str].0), and that a name is wrong ([key]); either may be a name in the file as well."""
+    loc = error["loc"]
+    if loc[-1:] == ("[key]",) and error["type"] != "extra_forbidden":
+        loc = loc[:-1]
+    places: list[str] = []
+    kinds: list[Any] = [whole]
+    for place in loc:
+        if len(kinds) > 1:
+            kinds = [Any]  # it says which of these it tried
+        else:
+            places.append(str(place))
+            kinds = _alternatives(_inside(kinds[0], place))
+    return places
+
+
+def _inside(kind: Any, place: Any) -> Any:
+    """What belongs at a place of a record, a table or a list."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return kind.model_fields[place].annotation if place in kind.model_fields else Any
+    return (Any, *get_args(kind))[-1]
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """The kinds of a value that is given."""
+    if get_origin(kind) is Annotated:
+        return _alternatives(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return [a for k in get_args(kind) if k is not NoneType for a in _alternatives(k)]
+    return [kind]

@@ -11,12 +11,11 @@ import pytest
 import diffeed
 from diffeed import FixedRoller, LineGuide, Scene, Sheet
 from diffeed.examine import explicit_limit, prepare
-from diffeed.rollout import STEP
 from diffeed.model import NEWTON
 from diffeed.parts import Contact, normalise
 from diffeed.progress import begin
 from diffeed.records import replace
-from diffeed.rollout import go_on
+from diffeed.rollout import STEP, go_on
 from diffeed.trajectory import Resume
 
 WAVE, DECAY = 2.0 * np.sqrt(2.0), 2.785

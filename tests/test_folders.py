@@ -252,6 +252,18 @@ def test_a_search_stopped_in_its_first_iteration_can_be_resumed(tmp_path, proble
     again.close()
 
 
+def test_a_search_does_not_replace_what_a_run_wrote(tmp_path, problem):
+    """The scene of a run and the result of a tolerance study have the names of those of a search."""
+    for name in ("scene.toml", "result.json"):
+        folder = tmp_path / name.split(".")[0]
+        folder.mkdir()
+        (folder / name).write_text("of a run")
+        with pytest.raises(JournalError, match=f"already holds {name}; name another folder, or add --force"):
+            Journal(folder, problem).start(resume=False, force=False)
+        assert [p.name for p in folder.iterdir()] == [name]
+        assert (folder / name).read_text() == "of a run"
+
+
 def test_a_summary_goes_before_a_search_goes_on(tmp_path, problem):
     """Otherwise a folder would look complete while what it holds is being replaced."""
     (tmp_path / "result.json").write_text("of an earlier search")

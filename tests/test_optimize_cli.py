@@ -1,6 +1,8 @@
 """`python -m optimize`, as a user meets it."""
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -156,3 +158,22 @@ def test_compare_runs_the_three_searches(place):
     gradients = [cost / data["gradient_cost"] for cost, _ in falls]
     assert gradients == pytest.approx([round(n) for n in gradients])
     assert gradients
+
+
+@pytest.mark.parametrize(
+    ("command", "run", "write"),
+    [("check", "trust.check_study", "trust.write_check"), ("compare", "compare.compare", "compare.write_comparison")],
+)
+def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch, command, run, write):
+    def fill(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("optimize.cli._problem", lambda *_: None)
+    monkeypatch.setattr(f"optimize.{run}", lambda *_: "found")
+    monkeypatch.setattr("optimize.compare.table", str)
+    monkeypatch.setattr(f"optimize.{write}", fill)
+    out = tmp_path / "out"
+    done = CliRunner().invoke(main, [command, "study.toml", "--out", str(out)])
+    assert (done.exit_code, type(done.exception)) == (2, SystemExit)
+    assert f"the results were not written to {out}: No space left on device" in done.output.replace("\n", " ")
+    assert list(tmp_path.iterdir()) == []

@@ -4,8 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from test_optimize_search import problem_of
 
+from optimize import compare
 from optimize.compare import Comparison, Trace, reached, table, write_comparison
+from optimize.evaluate import Counts
 
 GRADIENT = Trace("gradient", np.array([1.0, 5.0, 10.0]), np.array([10.0, 5.0, 1.0]))
 SLOW = Trace("Nelder-Mead", np.array([1.0, 2.0, 3.0, 40.0]), np.array([10.0, 8.0, 8.0, 1.0]))
@@ -33,3 +36,21 @@ def test_the_file_holds_every_gain(tmp_path):
     assert data["searches"]["Nelder-Mead"]["falls"] == [[1.0, 10.0], [2.0, 8.0], [40.0, 1.0]]
     assert data["searches"]["Nelder-Mead"]["forward_runs"] == pytest.approx(40.0)
     assert (tmp_path / "new" / "comparison.png").stat().st_size > 5_000
+
+
+@pytest.mark.usefixtures("as_users_have_it")
+def test_the_gradient_pays_for_all_its_runs(monkeypatch):
+    """Two starts and two media; in the second iteration a line search looks at three more points. A point has two gradients,
+    and all starts count."""
+    problem = problem_of(media={"thin": {}, "thick": {}}, search={"starts": 2})
+
+    def searched(problem, progress):
+        progress.good = np.array([[0.5], [0.2]])
+        for progress.iteration, gradients in enumerate((4, 4 + 4 + 3 * 2, 1000), 1):
+            progress.counts = Counts(gradients, gradients)
+            yield progress, None
+
+    monkeypatch.setattr(compare, "search", searched)
+    found = compare._gradient(problem, lambda unit: float(unit[0]), ratio=3.0, budget=100, at_start=1.0)
+    assert found.cost == pytest.approx([1.0, 3.0 * 2, 3.0 * 7])
+    assert found.best == pytest.approx([1.0, 0.2, 0.2])

@@ -7,6 +7,7 @@ from stand_in_nip import nip
 
 import optimize
 from optimize.evaluate import Evaluator
+from optimize.journal import fingerprint
 from optimize.problem import Seen, Settings, _over_samples, make_problem
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
@@ -78,3 +79,18 @@ def test_the_gradient_of_the_tail_is_that_of_differences():
     assert found.gradient[0, 0] == pytest.approx(slope, rel=1e-5)
     mean = Evaluator(problem()).gradients(np.array([[0.4]]), none, np.ones(1), Settings())
     assert found.value[0] > mean.value[0]
+
+
+def test_measured_values_belong_to_the_study(tmp_path):
+    """A table that was edited in between gives other machines: the search that stopped is not gone on with."""
+
+    def keys(*values):
+        (tmp_path / "preloads.csv").write_text("\n".join(["preload", *map(str, values)]))
+        of = {"path": "rollers.pinch.preload", "kind": "data", "file": "preloads.csv", "column": "preload"}
+        study = optimize.make_study(STUDY | {"tolerances": {"scatter": of}})
+        found = make_problem(study, scene=nip(initial="settled"), folder=tmp_path)
+        return found.key, fingerprint(found)
+
+    was = keys(2.9, 3.0, 3.2)
+    assert keys(3.2, 2.9, 3.0) == was
+    assert not set(keys(2.9, 3.0, 3.3)) & set(was)

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from stand_in_nip import nip
 
+import diffeed
 import optimize
 from optimize import blame_map, descent, evaluate, programs
 from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluator
-from optimize.journal import Journal, JournalError, read_history
+from optimize.journal import FILES, Journal, JournalError, read_history
 from optimize.problem import Settings, make_problem, over_media
+from optimize.report import write_result
 from optimize.study_file import make_study
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
@@ -204,6 +206,34 @@ def test_a_folder_is_not_overwritten_and_belongs_to_its_study(tmp_path):
     assert [json.loads(x)["iteration"] for x in (tmp_path / "history.jsonl").read_text().splitlines()] == [1, 2, 3]
 
 
+def test_a_search_in_its_last_stage_goes_on_with_more_iterations(tmp_path):
+    """To what it would have found with them from the start. Earlier stages must stay as they were."""
+
+    def staged(first, last):
+        stages = [{"iterations": first, "smoothing": 2.0}, {"iterations": last}]
+        return problem_of(search={"stages": stages, "schedule": "constant"})
+
+    design(staged(2, 2), tmp_path / "cut")
+    with pytest.raises(JournalError, match="another study"):
+        design(staged(3, 2), tmp_path / "cut", resume=True)
+    design(staged(2, 4), tmp_path / "cut", resume=True)
+    design(staged(2, 4), tmp_path / "whole")
+    lines = [read_history(tmp_path / name) for name in ("whole", "cut")]
+    for a, b in zip(*lines, strict=True):
+        a.pop("seconds"), b.pop("seconds")
+        assert a == b
+    assert [line["stage"] for line in lines[1]] == [0, 0, 1, 1, 1, 1]
+
+
+def test_a_search_whose_time_is_up_at_the_end_of_a_stage_goes_on_with_the_next():
+    problem = problem_of(search={"stages": [{"iterations": 2}, {"iterations": 3}], "seconds": 1.0})
+    progress = descent.begin(problem)
+    progress.iteration, progress.seconds, progress.level = 2, 5.0, np.zeros(1)
+    descent.stop(problem, progress)
+    assert "time of 1 s" in progress.reason
+    assert progress.stage == 1
+
+
 @pytest.mark.slow
 def test_stages_ease_the_contact_and_end_at_the_hard_settings():
     problem = problem_of(
@@ -256,3 +286,42 @@ def test_the_expected_gradient_is_not_ruled_by_one_sample():
     np.testing.assert_allclose(kept[4], [0.0, evaluate.OUTLIER])
     alone = jnp.array([[[3.0, 4.0]]])
     np.testing.assert_allclose(evaluate._without_outliers(alone, jnp.array([[True]])), alone)
+
+
+# --- the result in its folder -----------------------------------------------------------------------------------------
+
+
+def test_a_result_leaves_no_files_of_an_earlier_one(tmp_path):
+    for name in (*FILES, "notes.txt"):
+        (tmp_path / name).write_text("earlier")
+    result = design(problem_of(search={"iterations": 1}))
+    assert write_result(tmp_path, result, pictures=False) == ["scene.toml", "result.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["notes.txt", "result.json", "scene.toml"]
+    (tmp_path / "scene.toml").unlink()
+    (tmp_path / "scene.toml").mkdir()  # cannot be replaced
+    with pytest.raises(OSError):  # noqa: PT011
+        write_result(tmp_path, result, pictures=False)
+    assert not (tmp_path / "result.json").exists(), "the folder looks complete"
+
+
+def problem_without_parts():
+    """A sheet that flies."""
+    sheet = diffeed.Sheet(
+        length=20.0, bars=2, thickness=0.1, width=50.0, density=1e-6, youngs_modulus=2e3, lead=(0.0, 0.0), speed=50.0
+    )
+    scene = diffeed.scene(sheets={"a": sheet}, gravity=(0.0, 0.0), initial="given", duration=0.01)
+    variables = {"speed": {"path": "sheets.a.speed", "bounds": [10.0, 100.0]}}
+    objective = {"way": {"measure": "lead_x", "target": 0.6}}
+    table = TABLE | {"variables": variables, "objective": objective, "search": {"iterations": 1}}
+    return make_problem(make_study(table), scene=scene)
+
+
+def test_a_machine_without_rollers_and_guides_has_a_result(tmp_path):
+    names = write_result(tmp_path, design(problem_without_parts()))
+    assert set(FILES) - set(names) == {"when_before.png"}
+
+
+@pytest.mark.slow
+def test_without_rollers_and_guides_nothing_is_to_blame():
+    problem = problem_without_parts()
+    assert blame_map.arising(problem, problem.start, spans=3).share.shape == (0, 3)

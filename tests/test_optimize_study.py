@@ -3,6 +3,7 @@
 import pytest
 from stand_in_nip import nip
 
+import diffeed
 import optimize
 from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, make_study, read_table, shipped_studies
@@ -47,6 +48,13 @@ def test_a_good_study_has_no_problems():
         ({"frames": True}, ["frames must be a number", "True"]),
         ({"variables": {"a": {"path": "x", "bounds": ["0", 1]}}}, ["variables.a.bounds", "must be a number", "'0'"]),
         ({"over": "median"}, ["over", "'mean'", "median"]),
+        ({"variables": {"stroke": {"path": "x"}}}, ["variables.stroke.bounds is missing"]),
+        ({"variables": {"str": {"path": "x"}}}, ["variables.str.bounds is missing"]),
+        ({"variables": {"a": {"path": "x", "bounds": [0, 1], "strat": 3}}}, ["variables.a.strat is not", '"start"']),
+        ({"strategy": 1}, ["strategy is not a field here"]),
+        ({"[key]": 1}, ['"[key]" is not a field here']),
+        ({"limits": {"a b": {"measure": "slip", "at_most": 1}}}, ['limits."a b": a name must be made of']),
+        ({"step_tolerance": 0.01, "most_steps": 30}, ["most_steps must be at least", "(40)", "but is 30"]),
     ],
 )  # fmt: skip
 def test_one_wrong_value_names_path_and_rule(change, words):
@@ -56,6 +64,27 @@ def test_one_wrong_value_names_path_and_rule(change, words):
     assert all(word in line for word in words), line
 
 
+def test_of_a_field_with_alternatives_the_place_is_that_in_the_file():
+    """A word or a list of words: pydantic says what is wrong with either, and names the one it tried."""
+    table = GOOD | {"variables": {"str": {"path": ["x", 3], "bounds": [0, 1]}}}
+    with pytest.raises(optimize.StudyError) as caught:
+        make_study(table)
+    assert [line.split(" must be ")[0] for line in caught.value.problems] == [
+        "variables.str.path",
+        "variables.str.path.1",
+    ]
+
+
+def test_a_step_for_each_frame_is_enough():
+    assert make_study(GOOD | {"step_tolerance": 0.01, "most_steps": 30, "frames": 31}).frames == 31
+    assert make_study(GOOD | {"most_steps": 30}).frames == 41  # steps of one length: they are not counted
+    with pytest.raises(optimize.StudyError) as caught:
+        make_study(GOOD | {"step_tolerance": 0.01, "most_steps": 29, "frames": 31})
+    assert caught.value.problems == [
+        "most_steps must be at least one for each frame after the first (30) with a step_tolerance, but is 29"
+    ]
+
+
 def test_everything_that_does_not_fit_the_scene_is_said_at_once():
     table = GOOD | {
         "variables": {
@@ -63,6 +92,7 @@ def test_everything_that_does_not_fit_the_scene_is_said_at_once():
             "b": {"path": "rollers.pinch.center", "bounds": [1, 6]},
             "c": {"path": "rollers.pinch.spring", "bounds": [1, 6]},
             "d": {"shift": ["sheets.strip"], "direction": [1, 0], "bounds": [-1, 1]},
+            "i": {"path": "rollers.drive.angular_speed", "bounds": [1, 6]},
         },
         "objective": {
             "e": {"measure": "nip_forec", "of": "pinch"},
@@ -76,7 +106,8 @@ def test_everything_that_does_not_fit_the_scene_is_said_at_once():
     }
     found = "\n".join(problems_of(table))
     for words in (
-        "variables.a.path", 'did you mean "preload"', "variables.b.path must name one number",
+        "variables.a.path", 'did you mean "preload"', "variables.b.path: path must name one number",
+        "variables.i.path: path must name one number, but rollers.drive.angular_speed holds Profile(",
         "variables.c.bounds must hold the start, 0.5", "variables.d: sheets.strip", "objective.e.measure",
         'did you mean "nip_force"', 'objective.f.of: there is no "pinhc"', "objective.g.of must name",
         "objective.h.at must name a sensor (gate)", "search.name", 'did you mean "lbfgs"', "method must be one of",
@@ -104,3 +135,43 @@ def test_shipped_studies_are_sound(name):
     study = load_study(name)
     assert study.title
     assert make_problem(study, name).names
+
+
+# --- what makes two studies the same ----------------------------------------------------------------------------------
+
+
+def test_a_study_is_the_same_from_wherever_it_is_named(tmp_path, monkeypatch):
+    place = tmp_path / "place"
+    place.mkdir()
+    diffeed.save_scene(nip(), place / "nip.toml")
+    (place / "study.toml").write_text(
+        'scene = "nip.toml"\n[variables.preload]\npath = "rollers.pinch.preload"\nbounds = [1.0, 6.0]\n'
+        '[objective.force]\nmeasure = "nip_force"\nof = "pinch"\n'
+    )
+    keys = []
+    for folder, name in ((place, "study.toml"), (tmp_path, "place/study.toml")):
+        monkeypatch.chdir(folder)
+        keys.append(make_problem(load_study(name)).key)
+    diffeed.save_scene(nip(preload=2.0), place / "nip.toml")
+    keys.append(make_problem(load_study(name)).key)
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_step_that_is_not_given_is_no_bound_of_chosen_steps():
+    def key(**changes):
+        return make_problem(make_study(GOOD | changes), scene=nip()).key
+
+    default = make_study(GOOD).dt
+    assert key() == key(dt=default)
+    assert key(step_tolerance=0.01) != key(step_tolerance=0.01, dt=default)
+
+
+def test_the_order_of_variables_counts():
+    """It is that of a point's numbers, in the state of a search as well."""
+    spring = {"path": "rollers.pinch.spring", "bounds": [0.1, 1.0]}
+    both = GOOD["variables"] | {"spring": spring}
+    keys = [
+        make_problem(make_study(GOOD | {"variables": v}), scene=nip()).key
+        for v in (both, dict(reversed(both.items())), dict(both))
+    ]
+    assert keys[0] == keys[2] != keys[1]

@@ -14,7 +14,7 @@ from scipy import stats
 import diffeed
 from diffeed.names import hint
 from optimize import variables as free
-from optimize.asked import shown
+from optimize.asked import number_at
 from optimize.records import Moved
 from optimize.tolerance.media import CLIMATES, Card, MediaError, find
 from optimize.tolerance.records import Tolerance
@@ -161,15 +161,6 @@ def _input(
     if share and nominal == 0.0:
         problems.append(f"{where}: a share of a number that is 0 is always 0; give the tolerance in {unit}")
     return Input(label, of, what, "1" if share else unit, column, nominal, None)
-
-
-def number_at(scene: diffeed.Scene, path: str) -> float:
-    """The number at a path. ValueError for a path that leads nowhere, or to anything but one number."""
-    value = diffeed.get(scene, path)
-    diffeed.unit(scene, path)
-    if np.ndim(value) or np.asarray(value).dtype.kind not in "fi":  # a vector, a profile, or nothing
-        raise ValueError(f"path must name one number, but {path} holds {shown(value)}")
-    return float(value)
 
 
 def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.ndarray | None:

@@ -9,8 +9,8 @@ from jax import Array
 
 import diffeed
 from diffeed import measures
+from optimize.asked import number_at
 from optimize.programs import kept
-from optimize.tolerance.draws import number_at
 from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
 from optimize.tolerance.records import Axis, Latitude
 from optimize.tolerance.run import bytes_of, run_of

@@ -14,11 +14,11 @@ from pydantic import ValidationError
 
 import diffeed
 from diffeed.names import nearest
-from optimize.asked import Asked, StudyError, changed, resolved, run_problems
+from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems
 from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence
 from optimize.tolerance import media
-from optimize.tolerance.draws import Input, cards_of, inputs_of, number_at
+from optimize.tolerance.draws import Input, cards_of, inputs_of
 from optimize.tolerance.records import Axis, Latitude, Tolerance, ToleranceStudy
 
 RECORDS = {
