@@ -29,6 +29,8 @@ from tests.search.seeds import ALL_KINDS, scenes, studies
 LONGEST = 2
 """s of computing that one file may take."""
 KINDS = ("scene", "study", "record")
+TOLD = 500
+"""Cases after which the command says how far it is."""
 _WORDS = re.compile(r"traceback|object at 0x|\bdataclass|Error\b|Errno", re.IGNORECASE)
 
 
@@ -145,5 +147,7 @@ def command(count: int, seed: int, keep: Path | None) -> None:
                 if keep and kind != "record":
                     keep.mkdir(parents=True, exist_ok=True)
                     (keep / f"{kind}_{seed + k}.toml").write_bytes((Path(folder) / "case.toml").read_bytes())
+            if (k + 1) % TOLD == 0:
+                click.echo(f"{k + 1} of {count} cases, {len(faults)} faults", err=True)
     click.echo(", ".join(f"{n} {what}" for what, n in sorted(found.items())) + f"; {len(faults)} faults")
     raise SystemExit(1 if faults else 0)
