@@ -216,7 +216,7 @@ def test_a_drop_on_such_a_floor(method):
 
 def test_a_deep_start_is_named():
     (problem,) = diffeed.check(ex.contact_rows()["deep"].scene)
-    assert "guides.floor: sheet a starts 1 mm deep in it" in problem
+    assert "guides.floor: sheet paper starts 1 mm deep in it" in problem
     assert f"half the thickness, {0.5 * ex.THICK:g} mm" in problem
 
 
