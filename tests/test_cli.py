@@ -181,6 +181,19 @@ def test_a_changed_machine_is_held_against_the_run_before(finished, place):
     assert shown["runs"][1]["rollers"]["pinch"]["force"] != shown["runs"][0]["rollers"]["pinch"]["force"]
 
 
+def test_runs_of_two_lengths_are_not_compared_in_silence(capsys):
+    """A nip that the shorter one never reached carries nothing in it."""
+    from diffeed.terminal import console
+
+    def said(before, after):
+        empty = {"sheets": {}, "rollers": {}, "verdict": {"status": "passed"}}
+        report.print_changes(console(), *(empty | {"run": {"simulated": t}} for t in (before, after)))
+        return " ".join(capsys.readouterr().out.split())
+
+    assert "The runs are not of one length: 1 s before, 0.1 s after." in said(1.0, 0.1)
+    assert "one length" not in said(1.0, 1.0)
+
+
 def test_a_failed_run_before_tells_its_time_once(finished, place, tmp_path):
     folder = tmp_path / "old"
     shutil.copytree(place / "results/first", folder)
