@@ -30,8 +30,9 @@ def read_run(folder: Path) -> Earlier:
         summary = json.loads((folder / SUMMARY).read_text("utf-8"))
         with np.load(folder / "data.npz", allow_pickle=False) as data:
             tracks = {key: data[key] for key in data.files}
-        if not all(isinstance(summary[key], dict) for key in ("verdict", "sheets", "rollers")):
+        if not all(isinstance(summary[key], dict) for key in ("run", "verdict", "sheets", "rollers")):
             raise TypeError(f"{SUMMARY} is not that of a run")
+        float(summary["run"]["simulated"])  # what is compared must be there
         return Earlier(load_scene(folder / "scene.toml"), _run(tracks, summary["verdict"]), summary)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise OutputError(f"{folder} holds no whole results of `diffeed run`: {error}") from None
@@ -43,6 +44,6 @@ def _run(tracks: dict[str, np.ndarray], verdict: dict[str, Any]) -> Any:
         if key != "time":
             section, name, field = key.split(".")
             setattr(parts[section].setdefault(name, SimpleNamespace()), field, values)
-    failed = verdict["status"] == "failed"
-    failure = SimpleNamespace(describe=lambda: verdict["reason"])
+    failed, reason = verdict["status"] == "failed", verdict["reason"]
+    failure = SimpleNamespace(describe=lambda: reason)
     return SimpleNamespace(time=tracks["time"], ok=not failed, failure=failure, **parts)

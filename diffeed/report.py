@@ -74,8 +74,8 @@ def print_changes(console: "Console", before: dict[str, Any], after: dict[str, A
             table.add_row(name, _digits(old), _digits(new), f"{new - old:+.3g}")
     console.print(f"\nBefore and after, what differs by more than {100 * SAME:g} %", style="bold")
     console.print(table if table.row_count else "nothing")
-    lengths = [summary.get("run", {}).get("simulated") for summary in (before, after)]
-    if None not in lengths and abs(lengths[1] - lengths[0]) > SAME * max(lengths):
+    lengths = [summary["run"]["simulated"] for summary in (before, after)]
+    if abs(lengths[1] - lengths[0]) > SAME * max(lengths):
         console.print(
             f"The runs are not of one length: {lengths[0]:.4g} s before, {lengths[1]:.4g} s after. Means, peaks and sums are "
             "of what each of them came to."

@@ -171,7 +171,7 @@ def _simulate(
     blocks = (counts.frames - 1) * counts.blocks
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
     (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
-    gone = jnp.round((last.state.time - first.state.time) / h).astype(jnp.asarray(counts.total).dtype)
+    gone = jnp.round((last.state.time - first.state.time) / h).astype(int)
     return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe)
 
 

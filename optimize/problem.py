@@ -1,8 +1,6 @@
 """A study made ready: scene, media and terms looked up and checked, and the loss as a pure function of the unit vector."""
 
 import functools
-import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +16,7 @@ from diffeed.names import nearest
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
 from optimize.study import Goal, Study
-from optimize.tolerance.draws import Input, deviations, inputs_of, uniforms
+from optimize.tolerance.draws import Input, deviations, inputs_of, key_of, uniforms
 from optimize.tolerance.moves import sampled
 
 SLACK = 1e-2
@@ -55,12 +53,7 @@ class Problem:
     @functools.cached_property
     def key(self) -> str:
         """Equal for problems whose runs and terms are the same, however they are searched."""
-        # With a step_tolerance a dt that is not given is no bound, whatever its default says.
-        study = self.study.model_dump(mode="json", exclude={"search", "title", "scene"}) | self.study.stepping
-        columns = [i.column.tolist() for i in self.inputs if i.column is not None]
-        scenes = [diffeed.scene_text(s) for s in self.scenes]
-        text = json.dumps([study, columns, scenes])  # in the order of the file: points and limits are in it too
-        return hashlib.sha256(text.encode()).hexdigest()
+        return key_of(self.study.as_run({"search", "title", "scene"}), self.inputs, self.scenes)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """What studies of all kinds are made of: a record that knows its fields, what a number moves, a measure, a limit."""
 
+from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -123,6 +124,11 @@ class Runs(Record):
                 f"but is {self.most_steps}"
             )
         return self
+
+    def as_run(self, left_out: Iterable[str]) -> dict[str, Any]:
+        """Its values, with how it really steps: with a `step_tolerance` a `dt` that is not given is no bound, whatever its
+        default says."""
+        return self.model_dump(mode="json", exclude=set(left_out)) | self.stepping
 
     @property
     def stepping(self) -> dict[str, Any]:

@@ -10,9 +10,8 @@ import pytest
 from diffeed import tuning
 
 tuning.compile_quickly()  # as the command line does; flags that are given in XLA_FLAGS stay
-tuning.use_one_core = lambda: (
-    None
-)  # a command called in this process would set it for all that are started from it later
+# A command called in this process would set it for all processes that are started later.
+tuning.use_one_core = lambda: None
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -221,11 +221,11 @@ def test_a_smooth_run_has_its_trend_and_no_scatter():
 
 
 def test_the_roller_carries_what_drags_the_sheet():
-    """Sound with either skin; and at rest half a newton more of drag is half a newton on the roller (twice the sine of half the
-    angle is 1), but for the sheet's stiffness against the nip, which adds 9 %."""
+    """Sound with either skin; and at rest the normal forces of a wrap add up to the pull times its angle, pi/3 (capstan): half a
+    newton more of drag is pi/6 on the roller. Where each bar touches makes 0.7 % with 80 bars, 4 % with 40."""
     for skin in ripple.SKINS:
         assert diffeed.check(ripple.scene(20, skin)) == []
-    scene = ripple.scene(40)
+    scene = ripple.scene(80)
     drag = jnp.asarray(scene.loads["drag"].force)
     assert float(jnp.hypot(*drag)) == pytest.approx(1.0)
 
@@ -233,7 +233,7 @@ def test_the_roller_carries_what_drags_the_sheet():
         run = diffeed.simulate(diffeed.put(scene, "loads.drag.force", factor * drag), duration=1e-3, dt=1e-4, frames=2)
         return float(run.rollers["turn"].force[0])
 
-    assert carried(1.0) - carried(0.5) == pytest.approx(0.5, rel=0.1)
+    assert carried(1.0) - carried(0.5) == pytest.approx(np.pi / 6.0, rel=0.01)
 
 
 def test_the_knob_of_inertia_leaves_the_weight():

@@ -309,12 +309,19 @@ def _refuse_path(scene: "Scene", path: str, span: float) -> None:
             raise Refusal(f"--span {span:g} is too much: at {path} = {float(value):g}, {problems[0]}")
 
 
-def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[str, Any]], **how: bool) -> None:
-    """A benchmark other than the front, from refusing what could not be written to its files. `how`: see `set_up`."""
+def _rows(
+    name: str,
+    out: Path | None,
+    force: bool,
+    run: Callable[[Any], dict[str, Any]],
+    keep: bool = False,
+    alone: bool = True,
+) -> None:
+    """A benchmark other than the front, from refusing what could not be written to its files. `keep`, `alone`: see `set_up`."""
     from diffeed.bench.files import names_of, write_rows
 
     with stoppable(), _draft(out, names_of(name), force) as draft:
-        found, machine = _measured(run, **({"keep": False} | how))
+        found, machine = _measured(run, keep, alone)
         from diffeed.bench.kinds import KINDS
 
         data = {**found, "machine": machine}
@@ -324,10 +331,10 @@ def _rows(name: str, out: Path | None, force: bool, run: Callable[[Any], dict[st
         )
 
 
-def _measured(run: Callable[[Any], dict[str, Any]], **how: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def _measured(run: Callable[[Any], dict[str, Any]], keep: bool, alone: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """What was found, and the machine that it was measured on, which is told at once."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # a GPU's memory is for the processes that measure
-    set_up(**how)
+    set_up(keep=keep, alone=alone)
     from diffeed.bench.machine import machine, sentence
 
     found = machine()

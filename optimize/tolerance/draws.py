@@ -5,6 +5,9 @@ into what is added to the scene's own numbers. All on the host, by SciPy.
 """
 
 import csv
+import hashlib
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,6 +93,13 @@ def cards_of(media: dict[str, str], scene: diffeed.Scene, problems: list[str]) -
         except MediaError as error:
             problems.append(f"media.{sheet}: {error}")
     return cards
+
+
+def key_of(study: dict[str, Any], inputs: Sequence[Input], scenes: Sequence[diffeed.Scene]) -> str:
+    """Equal for the same values in the same order (that of a point's numbers and of the draws), measured columns and scenes."""
+    columns = [i.column.tolist() for i in inputs if i.column is not None]
+    text = json.dumps([study, columns, [diffeed.scene_text(s) for s in scenes]])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def inputs_of(

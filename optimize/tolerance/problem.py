@@ -1,8 +1,6 @@
 """A TOLERANCE study made ready: scene, inputs, measures and limits looked up and checked, and how a sample becomes a scene."""
 
 import functools
-import hashlib
-import json
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +16,7 @@ from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_
 from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence
 from optimize.tolerance import media
-from optimize.tolerance.draws import Input, cards_of, inputs_of
+from optimize.tolerance.draws import Input, cards_of, inputs_of, key_of
 from optimize.tolerance.records import Axis, Latitude, Tolerance, ToleranceStudy
 
 RECORDS = {
@@ -57,13 +55,10 @@ class ToleranceProblem:
     def key(self) -> str:
         """Equal for problems whose sample i is the same. The number of samples counts only where the draws depend on it."""
         left_out = {"title", "latitude", "scene"} | ({"samples"} if self.study.sampling != "latin_hypercube" else set())
-        # With a step_tolerance a dt that is not given is no bound, whatever its default says.
-        study = self.study.model_dump(mode="json", exclude=left_out) | self.study.stepping
+        study = self.study.as_run(left_out)
         for tolerance in study["tolerances"].values():
             tolerance.pop("cost")
-        columns = [i.column.tolist() for i in self.inputs if i.column is not None]
-        text = json.dumps([study, columns, diffeed.scene_text(self.scene)])  # draws are in the order of the file
-        return hashlib.sha256(text.encode()).hexdigest()
+        return key_of(study, self.inputs, (self.scene,))
 
 
 def load_tolerance(name_or_path: str | os.PathLike[str], **changes: Any) -> ToleranceProblem:
