@@ -141,7 +141,7 @@ def test_what_check_lets_pass_and_yet_fails_is_named():
 
 def test_the_command_writes_a_picture_and_rows_that_can_be_drawn_again(tmp_path, monkeypatch):
     rows, host = made_up(), {"processor": "abacus", "commit": "0123"}
-    monkeypatch.setattr("diffeed.bench.cli._measured", lambda run, keep: ({"rows": rows}, host))
+    monkeypatch.setattr("diffeed.bench.cli._measured", lambda *_: ({"rows": rows}, host))
     done = CliRunner().invoke(cli.main, ["bench", "stability", "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "linear_euler" in done.output
