@@ -106,6 +106,18 @@ def simulate(
     return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 
+def at_start(scene: Scene, observe: tuple[str, ...] = ()) -> Resume:
+    """Where a run of the scene begins, as `simulate` takes it: what goes on from there is the run."""
+    scene = normalise(scene)
+    return _at_start(scene, tuple(sorted(set(observe))))
+
+
+@jit_of_scene(static_argnames=("observe",))
+def _at_start(scene: Scene, observe: tuple[str, ...]) -> Resume:
+    model, scene = build(scene), bare(scene)
+    return Resume(**begin(model, scene, None, observe)._asdict())
+
+
 def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
     """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
     return _simulate(normalise(scene), dt, start, in_blocks(steps, 2), method, ())

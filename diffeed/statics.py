@@ -325,6 +325,7 @@ class _Search(NamedTuple):
     best: Rest
     span2: Array
     before: Array
+    close: Array  # whether the step to that point is too short to count, and was not held back
     done: Array
     slope: Array  # of the imbalance
     sloped: Array  # whether that is the one at the rest found, which takes one more look
@@ -334,7 +335,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
     """Pseudo-transient continuation: implicit steps from rest whose length grows as the imbalance falls (switched
     evolution relaxation), ending in Newton's method."""
     dtype = guess.q.dtype
-    growth, smallest, largest = 4.0, 1e-10, 1e14
+    growth, smallest, largest = 4.0, 1e-14, 1e14
     small, noise = (1e-11, 1e-8) if dtype == jnp.float64 else (2e-5, 2e-5)
     tiny = jnp.finfo(dtype).tiny
 
@@ -350,8 +351,9 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         jacobian, gap = jax.jacfwd(lambda r: (imbalance(r),) * 2, has_aux=True)(rest)
         # Below the noise, round-off of stiff springs on light bars: it must neither hold steps back nor refuse any.
         now = jnp.maximum(size(gap), noise)
-        # What no shorter step would better is taken: clamps that move at once may leave nothing else.
-        good = jnp.isfinite(now) & ((now < 10.0 * carry.before) | (span2 <= smallest))
+        # What no shorter step would better is taken: clamps that move at once may leave nothing else. So is a step too
+        # short to count: of many light bars it leaves round-off above the noise.
+        good = jnp.isfinite(now) & ((now < 10.0 * carry.before) | (span2 <= smallest) | carry.close)
         step = _newton_step(jacobian, gap, inertia / span2)
         share = limit(rest.q, step.q)
         whole = share >= 1.0
@@ -365,7 +367,9 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         before = jnp.where(good, now, carry.before)
         trial = jax.tree.map(lambda a, b: jnp.where(carry.done, a, b), rest, trial)
         done = carry.done | (good & whole & close & (span2 > 1e2))
-        return _Search(carry.tries + 1, trial, best, next_span2, before, done, _dense(jacobian), carry.done)
+        return _Search(
+            carry.tries + 1, trial, best, next_span2, before, close & (span2 > first), done, _dense(jacobian), carry.done
+        )
 
     unknowns = guess.q.shape[0] + guess.reaction.shape[0]
     start = _Search(
@@ -374,6 +378,7 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         guess,
         jnp.full((), first, dtype),
         jnp.full((), jnp.inf, dtype),
+        jnp.zeros((), bool),
         jnp.zeros((), bool),
         jnp.zeros((unknowns, unknowns), dtype),
         jnp.zeros((), bool),

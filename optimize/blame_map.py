@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 import diffeed
+from diffeed.rollout import at_start
 from optimize.asked import values_of
 from optimize.problem import Problem, objective_of, simulate
 from optimize.programs import kept
@@ -66,18 +67,15 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
     piece = duration / spans
 
     def of(copies: diffeed.Scene) -> Array:
-        first = jax.tree.map(lambda v: v[0], copies)
-        begun = diffeed.simulate(first, piece, frames=2, **study.stepping, observe=problem.observe)
+        begun = at_start(jax.tree.map(lambda v: v[0], copies), problem.observe)
 
         def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, None]:
             run = diffeed.simulate(copy, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
-            return run.final, None
+            return run.final, run
 
-        rest = jax.tree.map(lambda v: v[1:-1], copies)
-        resume, _ = jax.lax.scan(jax.checkpoint(go_on), begun.final, rest)
-        last = jax.tree.map(lambda v: v[-1], copies)
-        run = diffeed.simulate(last, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
-        return objective_of(problem, values_of(problem.goals, last, run))
+        _, runs = jax.lax.scan(jax.checkpoint(go_on), begun, copies)
+        scene, run = jax.tree.map(lambda v: v[-1], (copies, runs))
+        return objective_of(problem, values_of(problem.goals, scene, run))
 
     copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)
     slope = kept(("arising", problem.key, spans), lambda: jax.jit(jax.grad(of)))(copies)
@@ -87,7 +85,7 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
 
 
 def _size(held: Any) -> np.ndarray:
-    """(spans,) length of the derivative with respect to a part's places and radius."""
+    """(spans,) length of the derivative with respect to a part's places."""
     found = [np.asarray(getattr(held, n)) for n in ("center", "start", "end") if hasattr(held, n)]
     total = sum(np.sum(v**2, axis=-1) for v in found)
     return np.sqrt(total)

@@ -61,6 +61,22 @@ def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     assert scored[0] != scored[1]
 
 
+@pytest.mark.slow
+def test_when_the_sensitivity_arises_adds_up_to_the_blame():
+    """One span is the whole run; two share it, and what a part does in each may only cancel."""
+    problem = problem_of()
+    whole = blame_map.blame(problem, problem.start)
+    one, two = (blame_map.arising(problem, problem.start, spans) for spans in (1, 2))
+    assert set(one.parts) == {"guides.table", "rollers.drive", "rollers.pinch"}
+    for row, part in enumerate(one.parts):
+        size = np.linalg.norm([v for path, v in whole.places.items() if path.rsplit(".", 1)[0] == part])
+        assert (size > 0.01) == (part != "guides.table")
+        assert one.share[row, 0] == pytest.approx(size, rel=1e-9)
+        assert np.sum(two.share[row]) >= size * (1.0 - 1e-9)
+        assert np.max(two.share[row]) <= 10.0 * size
+    assert two.edges == pytest.approx([0.0, 0.005, 0.01])
+
+
 def test_the_program_that_was_not_used_for_longest_goes_first():
     names = [f"test {k}" for k in range(programs.MOST + 1)]
     for name in names[:-1]:
