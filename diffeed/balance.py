@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.contact import Pairs
-from diffeed.energy import sheet_energies
-from diffeed.forces import Contacts, pushes
-from diffeed.kinematics import Pose, pose
+from diffeed.energy import load_power, sheet_energies
+from diffeed.forces import Contacts
+from diffeed.kinematics import pose
 from diffeed.model import Model
 from diffeed.state import State
 
@@ -62,7 +62,7 @@ def entered(model: Model, book: Book, touching: Contacts, h: Array) -> Book:
     """The book after a step of length h from where `touching` was seen."""
     old = Sums(*book.sums)
     pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
-    power = power + _loads(model, touching.at)
+    power = power + load_power(model, touching.at)
     sums = Sums(
         begun=jnp.ones_like(old.begun),
         pressed=jnp.where(old.begun > 0, old.pressed, pressed),
@@ -94,9 +94,3 @@ def _contacts(pairs: Pairs) -> tuple[Array, Array]:
     power = touch.force * pairs.u_n - touch.friction * pairs.u_t
     sums = jnp.sum(jnp.stack([stored, power]), axis=(1, 2))
     return sums[0], sums[1]
-
-
-def _loads(model: Model, at: Pose) -> Array:
-    """Power of dead forces and moments on nodes."""
-    load = pushes(model, at)
-    return jnp.zeros(()) if load is None else jnp.sum(load.fx * at.vx + load.fy * at.vy + load.fw * at.w)

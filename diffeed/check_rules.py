@@ -161,6 +161,8 @@ def _at(path: str, part: Any, scene: Scene) -> Iterator[str]:
     last = None if bars is None else bars - bar
     if part.at < 0 or (last is not None and part.at > last):
         yield f"{path}.at must be {wanted} (0 to {'the last' if last is None else last}), but is {show(part.at)}"
+    elif last is not None and 0 < part.at < last and isinstance(part, Clamp) and part.kind == "wall":
+        yield f'{path}.at must be "lead" or "tail" with kind "wall", but is {show(part.at)}: kind "bar" holds a sheet within'
 
 
 def _increasing(path: str, series: Any, _: Scene) -> Iterator[str]:

@@ -8,7 +8,7 @@ from jax import Array
 from diffeed.bodies import Bodies
 from diffeed.contact import Pairs, RollerPairs
 from diffeed.contact_law import Surface, elastic_energy, elastic_force
-from diffeed.forces import Contacts, hold_target
+from diffeed.forces import Contacts, hold_target, pushes
 from diffeed.kinematics import Pose
 from diffeed.model import NEWTON, Model
 from diffeed.state import State
@@ -28,6 +28,7 @@ class Powers(NamedTuple):
     """Work and losses; as powers N mm/s, integrated over time N mm."""
 
     drives: Array  # work of driven shafts
+    loads: Array  # work of dead forces and moments
     friction: Array  # what friction takes: lost in sliding, or lent to deflections (below mu F stick_displacement each)
     contact: Array  # loss in contact damping
     joints: Array  # loss in joint dampers
@@ -83,7 +84,13 @@ def powers(model: Model, state: State, at: Pose, world: Bodies, touching: Contac
             joints = joints + 2.0 * model.wall_damping[hold.bar] * state.rate[hold.bar] ** 2
     rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(r.drag * state.spin**2)
     drives = _drive_power(model, world, touching.sheets, touching.rollers)
-    return Powers(*(v / NEWTON for v in (drives, friction, damping, joints, rollers)))
+    return Powers(*(v / NEWTON for v in (drives, load_power(model, at), friction, damping, joints, rollers)))
+
+
+def load_power(model: Model, at: Pose) -> Array:
+    """Power of dead forces and moments on nodes, kg mm2/s3."""
+    load = pushes(model, at)
+    return jnp.zeros(()) if load is None else jnp.sum(load.fx * at.vx + load.fy * at.vy + load.fw * at.w)
 
 
 def _damping_loss(model: Model, touching: Contacts) -> Array:

@@ -9,6 +9,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from diffeed.check_records import check_records
+from diffeed.check_values import show
 from diffeed.contact import keep_all
 from diffeed.contact_law import BRISTLE_LAG
 from diffeed.crossing import guides_crossed
@@ -99,13 +100,33 @@ def _gaps(model: Model, state: State) -> Array:
     return jnp.zeros((0, 0)) if pairs is None else jnp.where(pairs.weight > 0, pairs.gap, jnp.inf)
 
 
+STARTS = (
+    ("sheets", "speed", "mm/s"),
+    ("sheets", "velocity", "mm/s"),
+    ("sheets", "rates", "rad/s"),
+    ("rollers", "spin", "rad/s"),
+)
+"""What sets parts going at the start: section, field, unit."""
+
+
 def _speeds(scene: Scene) -> list[str]:
-    return [
-        f"sheets.{name}.speed must be 0 mm/s in a scene that starts settled, but is {float(sheet.speed):g};"
-        ' set initial = "given" to start in motion'
-        for name, sheet in sorted(scene.sheets.items())
-        if float(sheet.speed) != 0.0
-    ]
+    found = []
+    for section, field, unit in STARTS:
+        for name, part in sorted(getattr(scene, section).items()):
+            value = _start_of(part, field)
+            if np.any(value != 0.0):
+                shown = show(value.tolist()) if value.ndim else f"{value:g}"
+                found.append(
+                    f"{section}.{name}.{field} must be 0 {unit} in a scene that starts settled, but is {shown};"
+                    ' set initial = "given" to start in motion'
+                )
+    return found
+
+
+def _start_of(part: Any, field: str) -> np.ndarray:
+    """What a part has there, zero if it has nothing."""
+    value = getattr(part, field, None)
+    return np.zeros(()) if value is None else np.asarray(value)
 
 
 def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:

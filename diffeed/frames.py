@@ -21,6 +21,7 @@ class Motion(NamedTuple):
     stored: Energies
     speed: Array  # (sheets,) mm/s: each sheet along itself
     wanted: Array  # (sheets,) mm/s: what its driven rollers command
+    held: Array  # (sheets,) bool: some driven roller touches it
 
 
 @jit_of_scene
@@ -31,7 +32,8 @@ def motion(scene: Scene, states: State) -> Motion:
     def at_frame(state: State) -> Motion:
         at, world, touching = look(model, state)
         speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-        return Motion(energies(model, state, at, touching), speed, commanded_speed(model, at, touching, world.spin))
+        wanted, press = commanded_speed(model, at, touching, world.spin)
+        return Motion(energies(model, state, at, touching), speed, wanted, press > 0)
 
     return jax.lax.map(at_frame, states)
 

@@ -62,8 +62,8 @@ def jam_margin(scene: Scene, trajectory: Trajectory, sheet: str | None = None) -
 def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
     feed = trajectory.observed["feed"][name]
     if not scene.goal:
-        commanded = jnp.maximum(jnp.abs(feed.commanded), 1e-6)
-        return feed.fed / commanded / ENOUGH - 1.0
+        forward = feed.fed * jnp.sign(feed.commanded)  # fed tail first, both are negative
+        return forward / jnp.maximum(jnp.abs(feed.commanded), 1e-6) / ENOUGH - 1.0
     lead = trajectory.sheets[name].nodes[0, 0]
     way = scene.sensors[scene.goal].position - lead
     needed = scene.sheets[name].length + jnp.sqrt(jnp.sum(way**2))

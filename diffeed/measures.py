@@ -164,12 +164,14 @@ def energy(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
 
 
 def energy_balance(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
-    """Where the work of the drives went, N mm: change of stored energy, each loss, and what the step itself lost
-    (`numerical`: an implicit step damps; it shrinks with dt). What friction that sticks holds for a while (below
-    mu F stick_displacement per contact) counts as lost in friction, and as won back. Needs observe=("energy",)."""
+    """Where the work of the drives (and of loads, if there are any) went, N mm: change of stored energy, each loss, and what
+    the step itself lost (`numerical`: an implicit step damps; it shrinks with dt). What moving guides, rollers and clamps put
+    in is not told apart: it counts as won there. What friction that sticks holds for a while (below mu F stick_displacement
+    per contact) counts as lost in friction, and as won back. Needs observe=("energy",)."""
     work = dict(_seen(trajectory, "energy", "energy_balance"))
     total = energy(scene, trajectory)["total"]
     stored = total[-1] - total[0]
     losses = {f"lost in {k}": work[k] for k in ("friction", "contact", "joints", "rollers")}
-    numerical = work["drives"] - stored - sum(losses.values(), jnp.zeros(()))
-    return {"work of drives": work["drives"], "stored": stored} | losses | {"numerical": numerical}
+    put_in = {"work of drives": work["drives"]} | ({"work of loads": work["loads"]} if scene.loads else {})
+    numerical = sum(put_in.values()) - stored - sum(losses.values(), jnp.zeros(()))
+    return put_in | {"stored": stored} | losses | {"numerical": numerical}

@@ -191,7 +191,7 @@ class Arcs:
     radius: Any
     mid_x: Any
     mid_y: Any
-    cos_quarter: Any
+    cos_quarter: Any  # of a quarter of the sweep; 0 for a full turn, which has no ends
     sin_quarter: Any
     side: Any
     faces: Face
@@ -488,7 +488,11 @@ def _lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, Ar
     # The ends of an arc in the order of increasing angle, so that a clockwise sweep is the same arc.
     low, high = start + jnp.minimum(sweep, 0.0), start + jnp.maximum(sweep, 0.0)
     ends = [(sx, sy), (ex, ey)] + [(cx + radius * jnp.cos(a), cy + radius * jnp.sin(a)) for a in (low, high)]
-    joined = _joined(ends)
+    # A full turn has no ends: nothing is fitted to them, and nothing fades there.
+    closed = high - low > 2.0 * jnp.pi - JOIN_TOLERANCE / radius
+    motions = [g.motion for _, g in lines] * 2 + [g.motion for _, g in arcs] * 2
+    is_end = jnp.concatenate([jnp.ones((2 * len(lines),), bool), ~closed, ~closed])
+    joined = _joined(ends, _move_alike(motions) & is_end[:, None] & is_end[None, :])
     line_tip, arc_tip = (stacked([g.tip_radius for _, g in guides]) for guides in (lines, arcs))
     normals = [(-ty, tx)] * 2 + [(-side * jnp.cos(a), -side * jnp.sin(a)) for a in (low, high)]
 
@@ -500,24 +504,44 @@ def _lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, Ar
 
     mid = 0.5 * (low + high)
     quarter = 0.25 * (high - low)
+    cos_quarter, sin_quarter = jnp.where(closed, 0.0, jnp.cos(quarter)), jnp.where(closed, 1.0, jnp.sin(quarter))
     line_set = Lines(
         x=sx, y=sy, tx=tx, ty=ty, length=length, faces=face(lines, line_tip, 0), names=tuple(n for n, _ in lines)
     )
     arc_set = Arcs(
-        x=cx, y=cy, radius=radius, mid_x=jnp.cos(mid), mid_y=jnp.sin(mid), cos_quarter=jnp.cos(quarter),
-        sin_quarter=jnp.sin(quarter), side=side, faces=face(arcs, arc_tip, 2), names=tuple(n for n, _ in arcs),
+        x=cx, y=cy, radius=radius, mid_x=jnp.cos(mid), mid_y=jnp.sin(mid), cos_quarter=cos_quarter,
+        sin_quarter=sin_quarter, side=side, faces=face(arcs, arc_tip, 2), names=tuple(n for n, _ in arcs),
     )  # fmt: skip
     return line_set, arc_set
 
 
-def _joined(ends: list[tuple[Array, Array]]) -> list[Array]:
-    """1 for each end that coincides with another one. A yes or no: no gradient."""
+def _joined(ends: list[tuple[Array, Array]], may: Array) -> list[Array]:
+    """1 for each end that coincides with another one to which it `may` be joined. A yes or no: no gradient."""
     counts = [x.shape[0] for x, _ in ends]
     x, y = jnp.concatenate([e[0] for e in ends]), jnp.concatenate([e[1] for e in ends])
     n = sum(counts)
     near = (x[:, None] - x[None, :]) ** 2 + (y[:, None] - y[None, :]) ** 2 < JOIN_TOLERANCE**2
-    flags = jnp.any(near & ~np.eye(n, dtype=bool), axis=1).astype(x.dtype)
+    flags = jnp.any(near & may & ~np.eye(n, dtype=bool), axis=1).astype(x.dtype)
     return jnp.split(flags, np.cumsum(counts)[:-1].tolist())
+
+
+def _move_alike(motions: list[Motion | None]) -> Array:
+    """(ends, ends) bool: whether two guides stay together, at rest or by the same movement. A diverter that only starts flush
+    with its neighbour leaves an end open."""
+    still = np.array([m is None for m in motions], dtype=bool)
+    alike = jnp.asarray(still[:, None] & still[None, :])
+    moving = [(k, _path(m)) for k, m in enumerate(motions) if m is not None]
+    for i, a in moving:
+        for j, b in moving:
+            alike = alike.at[i, j].set(_same(a, b))
+    return alike
+
+
+def _same(a: Path, b: Path) -> Array:
+    """Whether two movements are one, number for number."""
+    if a.times.shape != b.times.shape:
+        return jnp.zeros((), bool)
+    return jnp.all(jnp.stack([jnp.all(getattr(a, f) == getattr(b, f)) for f in Path.__dataclass_fields__]))
 
 
 def _circles(
@@ -533,6 +557,8 @@ def _circles(
         for end in (0, 1)
         if parts
     ]
+    of_arcs = arcs[1].cos_quarter
+    has_ends = {"lines": jnp.ones(()), "arcs": (of_arcs > 0).astype(of_arcs.dtype)}
     zeros = jnp.zeros((len(rollers),))
     owners = rollers + guides + [p for _, parts, _, _ in tips for p in parts]
     x, y = _columns([g.center for _, g in guides])
@@ -542,7 +568,9 @@ def _circles(
         radius=jnp.concatenate(
             [roller_set.radius, stacked([p.radius for _, p in guides]), *[f.tip_radius for _, _, f, _ in tips]]
         ),
-        active=jnp.concatenate([jnp.ones((len(rollers) + len(guides),)), *[1.0 - f.joined[e] for _, _, f, e in tips]]),
+        active=jnp.concatenate(
+            [jnp.ones((len(rollers) + len(guides),)), *[(1.0 - f.joined[e]) * has_ends[k] for k, _, f, e in tips]]
+        ),
         tip_of=tuple((family, k, end) for family, parts, _, end in tips for k in range(len(parts))),
     )
     return circles, owners

@@ -282,10 +282,11 @@ class Feed:
     stall: Any = number(unit="s", doc="time of the present stall")
 
 
-def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> Array:
-    """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force."""
+def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> tuple[Array, Array]:
+    """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
+    force, kg mm/s2."""
     if touching.sheets is None or model.rollers.n == 0:
-        return jnp.zeros((len(model.layout.names),))
+        return (jnp.zeros((len(model.layout.names),)),) * 2
     n, pairs = model.rollers.n, touching.sheets
     c, s = heading(model, at, pairs)
     along = (pairs.nx * s - pairs.ny * c)[:n]
@@ -293,7 +294,7 @@ def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> 
     pull = jnp.sum(force * along * (spin * model.rollers.radius)[:, None], axis=0)
     # One product instead of slices: each slice would compute the contact law again.
     pull, force = jnp.stack([pull, jnp.sum(force, axis=0)]) @ jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
-    return divide(pull, force)
+    return divide(pull, force), force
 
 
 def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
@@ -304,7 +305,7 @@ def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
 def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
     at, h = seen.at, seen.h
     speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-    wanted = commanded_speed(model, at, seen.touching, seen.world.spin)
+    wanted, _ = commanded_speed(model, at, seen.touching, seen.world.spin)
     stalled = (jnp.abs(wanted) > 0) & (speed * jnp.sign(wanted) < 0.1 * jnp.abs(wanted))
     stall = jnp.where(stalled, feed.stall + h, 0.0)
     return Feed(

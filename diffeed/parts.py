@@ -221,8 +221,8 @@ class CircleGuide:
 class Clamp:
     """Holds a point of a sheet.
 
-    kind "pin": a node is held, its bars turn freely. "wall": a node is held by a wall joint of twice the joint
-    stiffness, so that the free length counts from the node. "bar": the whole bar at that end is held.
+    kind "pin": a node is held, its bars turn freely. "wall": the node at an end is held by a wall joint of twice the joint
+    stiffness, so that the free length counts from the node. "bar": a whole bar is held.
     `displacement` and `rotation` are reached at once from the initial position; `motion` moves the clamp in time.
     """
 

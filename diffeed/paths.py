@@ -179,7 +179,10 @@ def _put_item(old: Any, index: tuple[int, ...], ndim: int, value: Any, path: str
     if measure(value) is None:
         raise PathError(f'"{path}" must be a number, but is {show(value)}')
     if isinstance(old, (jax.Array, np.ndarray)):
-        return jnp.asarray(old).at[_slot(old, index, ndim, path)].set(value)
+        slot = _slot(old, index, ndim, path)
+        if np.broadcast_shapes(np.shape(value), np.shape(old[slot])) != np.shape(old[slot]):
+            raise PathError(f'"{path}" must be one number, but is {show(value)}')
+        return jnp.asarray(old).at[slot].set(value)
     entries = _entries(old, index[0], path)
     new = _put_item(entries[index[0]], index[1:], ndim - 1, value, path) if index[1:] else value
     return type(old)([*entries[: index[0]], new, *entries[index[0] + 1 :]])

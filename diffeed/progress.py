@@ -46,8 +46,11 @@ class Progress(NamedTuple):
 def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
     """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
     if isinstance(initial, Resume):
+        if set(initial.open) != set(observe):
+            had, asked = (", ".join(sorted(names)) or "nothing" for names in (initial.open, observe))
+            raise ValueError(f"observe must be what it was in the run that goes on, {had}, but is {asked}")
         return Progress(
-            initial.state,
+            stick.fitted(model, initial.state),
             initial.cause,
             initial.failed_at,
             initial.open,

@@ -94,6 +94,7 @@ def simulate(
     duration = scene.duration if duration is None else float(duration)
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST
     _refuse(duration, dt, frames, method, observe)
+    frames = int(frames)
     steps_of = dt if tolerance is None else None
     if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
         raise ValueError(problem)
@@ -102,7 +103,7 @@ def simulate(
         counts = plan(duration, dt, frames)
         return _simulate(scene, duration / counts.total, initial, counts, method, observe)
     refuse_control(tolerance, most_steps, frames, method)
-    control = error_control.Control(frames - 1, error_control.blocks(most_steps, frames), method, observe)
+    control = error_control.Control(frames - 1, error_control.blocks(int(most_steps), frames), method, observe)
     return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 

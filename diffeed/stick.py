@@ -21,10 +21,11 @@ from diffeed.system import Solution
 
 
 def fitted(model: Model, state: State) -> State:
-    """A state that may come from the same scene with other friction laws: what it does not hold starts at zero."""
-    if (state.grip is None) == (initial_grip(model) is None):
+    """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
+    wanted = initial_grip(model)
+    if jnp.shape(state.grip) == jnp.shape(wanted) if None not in (state.grip, wanted) else state.grip is wanted:
         return state
-    return replace(state, grip=initial_grip(model))
+    return replace(state, grip=wanted)
 
 
 def of_pairs(
@@ -100,6 +101,13 @@ def slope(model: Model, grip: Array | None, pairs: Pairs | None, h: Array, kept:
 def bounded(grip: Array | None) -> Array | None:
     """What an explicit step has carried past the bound, brought back."""
     return None if grip is None else jnp.clip(grip, -SLIDES, SLIDES)
+
+
+def pressed_only(model: Model, grip: Array | None, pairs: Pairs | None, kept: Kept) -> Array | None:
+    """The deflections of what touches; none where nothing presses."""
+    if grip is None or pairs is None:
+        return grip
+    return moved(grip, *pull(model, pairs, jnp.zeros_like(pairs.v_t), kept), 0.0)
 
 
 def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:

@@ -16,8 +16,8 @@ from diffeed.trajectory import Trajectory
 
 STATUSES = ("passed", "late", "jammed", "failed")
 """late: still moving, but the goal is not reached; failed: numerically. In the order of how bad they are."""
-REACHED, FREE, LATE, FOLDS, STRAYS, STALLS, LET_GO, BROKE = range(8)
-_STATUS_OF = np.array([0, 0, 1, 2, 2, 2, 2, 3])
+REACHED, FREE, RESTS, LATE, FOLDS, STRAYS, STALLS, LET_GO, BROKE = range(9)
+_STATUS_OF = np.array([0, 0, 0, 1, 2, 2, 2, 2, 3])
 STALLED = 0.1
 """Share of the commanded speed below which a sheet stands still."""
 STRAYED = 50.0
@@ -61,6 +61,7 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
     text = {
         REACHED: f"the tail of {name} passed {scene.goal}",
         FREE: f"{name} was still moving at the end",
+        RESTS: f"{name} stood at the end, as the rollers that hold it did",
         LATE: f"the tail of {name} has not reached {scene.goal} at the end of the run",
         FOLDS: f"{name} folded back on itself",
         STRAYS: f"{name} left the path",
@@ -81,7 +82,8 @@ def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
 @jit_of_scene
 def _outcome(scene: Scene, trajectory: Trajectory, seen: Motion) -> Outcome:
     names = sorted(scene.sheets)
-    each = [_judge(scene, trajectory, n, seen.speed[:, k], seen.wanted[:, k], k) for k, n in enumerate(names)]
+    fed = [Feeding(seen.speed[:, k], seen.wanted[:, k], seen.held[:, k]) for k in range(len(names))]
+    each = [_judge(scene, trajectory, name, fed[k], k) for k, name in enumerate(names)]
     both: Outcome = jax.tree.map(lambda *v: jnp.stack(v), *each)
     worst = jnp.argmax(both.status)
     found: Outcome = jax.tree.map(lambda v: v[worst], both)
@@ -95,14 +97,24 @@ def _outcome(scene: Scene, trajectory: Trajectory, seen: Motion) -> Outcome:
     )
 
 
-def _judge(scene: Scene, trajectory: Trajectory, name: str, speed: Array, wanted: Array, k: int) -> Outcome:
+class Feeding(NamedTuple):
+    """How a sheet is fed; (frames,)."""
+
+    speed: Array  # mm/s, along itself
+    wanted: Array  # mm/s, what the driven rollers that touch it command
+    held: Array  # bool: some driven roller touches it
+
+
+def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:
     track, time = trajectory.sheets[name], trajectory.time
     last = time.shape[0] - 1
     done = _passed_goal(scene, trajectory, name)
     folds, strays = _first(_is_folded(track.headings)), _first(_has_strayed(scene, track.nodes))
-    stalls = _stalled_since(speed, wanted) if any(is_driven(r) for r in scene.rollers.values()) else last + 1
-    held = jnp.max(jnp.where(jnp.arange(last + 1) >= stalls, jnp.abs(wanted), 0.0)) > 0
-    end = LATE if scene.goal else FREE
+    fastest = _fastest_drive(scene)
+    stalls = last + 1 if fastest is None else _stalled_since(fed, fastest)
+    held = jnp.max(jnp.where(jnp.arange(last + 1) >= stalls, jnp.abs(fed.wanted), 0.0)) > 0
+    rests = fed.held[-1] & (jnp.abs(fed.speed[-1]) < STALLED * jnp.max(jnp.abs(fed.wanted)))
+    end = LATE if scene.goal else jnp.where(rests, RESTS, FREE)
     tests = [
         (jnp.isfinite(done), REACHED, last),
         (folds <= last, FOLDS, folds),
@@ -112,7 +124,8 @@ def _judge(scene: Scene, trajectory: Trajectory, name: str, speed: Array, wanted
     reason, frame = jnp.asarray(end), jnp.asarray(last)
     for is_so, why, when in reversed(tests):
         reason, frame = jnp.where(is_so, why, reason), jnp.where(is_so, when, frame)
-    at = jnp.where(reason == REACHED, done, jnp.where(reason == FREE, jnp.inf, time[frame]))
+    moving = (reason == FREE) | (reason == RESTS)
+    at = jnp.where(reason == REACHED, done, jnp.where(moving, jnp.inf, time[frame]))
     return Outcome(jnp.asarray(_STATUS_OF)[reason], reason, jnp.asarray(k), frame, at)
 
 
@@ -167,11 +180,20 @@ def _corners(scene: Scene) -> Array:
     return jnp.concatenate([*ends, center - radius, center + radius])
 
 
-def _stalled_since(speed: Array, wanted: Array) -> Array:
-    """Frame since which the sheet has stood still until the end (for at least a twentieth of the run), or the length."""
-    frames = speed.shape[0]
-    reference = jnp.max(jnp.abs(wanted))
-    moving = jnp.abs(speed) >= STALLED * reference
+def _fastest_drive(scene: Scene) -> Array | None:
+    """mm/s, of the surfaces of all driven rollers at any time; None if there is none."""
+    rollers = build(scene).rollers
+    spins = jnp.concatenate([jnp.max(jnp.abs(d.values), axis=1) for d in rollers.drives])
+    return jnp.max(spins * rollers.radius[rollers.driven]) if spins.shape[0] else None
+
+
+def _stalled_since(fed: Feeding, fastest: Array) -> Array:
+    """Frame since which the sheet has stood still until the end (for at least a twentieth of the run), or the length. What
+    nothing ever drove is held against the `fastest` drive; what stands as the rollers that hold it do has not stalled."""
+    frames, most = fed.speed.shape[0], jnp.max(jnp.abs(fed.wanted))
+    reference = jnp.where(most > 0, most, fastest)
+    as_told = fed.held & (jnp.abs(fed.wanted) < STALLED * reference)
+    moving = (jnp.abs(fed.speed) >= STALLED * reference) | as_told
     since = jnp.max(jnp.where(moving, jnp.arange(1, frames + 1), 0))
     long_enough = frames - since >= max(2, frames // 20)
     return jnp.where((reference > 0) & long_enough, since, frames)

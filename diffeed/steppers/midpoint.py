@@ -33,6 +33,8 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
     """One step; also the contacts of the state it started from."""
     half = 0.5 * h
     guess, touching = linear_euler.step(model, state, half, kept)
+    # From there on a deflection that nothing presses would only change its sign with every pass.
+    state = replace(state, grip=stick.pressed_only(model, state.grip, touching.sheets, kept))
 
     def improve(guess: State, _: None) -> tuple[State, None]:
         return _corrected(model, state, guess, half, kept), None
