@@ -241,6 +241,11 @@ def correlation(inputs: tuple[Input, ...]) -> np.ndarray:
     return found
 
 
+def normals(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
+    """(samples, inputs) the normal numbers behind the inputs, of whatever kind: they have the `correlation`."""
+    return stats.norm.ppf(deviates(inputs, u))
+
+
 def epsilons(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
     """(samples, inputs) standard deviates: value = nominal + offset + scale * epsilon. NaN for measured values."""
     found = deviates(inputs, u)
