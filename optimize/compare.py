@@ -150,7 +150,7 @@ def _simplex(problem: Problem, of: Callable[[np.ndarray], float]) -> None:
 
 def reached(trace: Trace, target: float) -> float | None:
     """Cost at which a trace reaches the target; None also where there is none, for the gradient found nothing."""
-    found = np.flatnonzero(trace.best <= target) if np.isfinite(target) else ()
+    found = np.flatnonzero((trace.best <= target) & np.isfinite(target))
     return float(trace.cost[found[0]]) if len(found) else None
 
 
