@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed import plot_style
-from diffeed.files import write_whole
+from diffeed.files import plain, write_whole
 from optimize.descent import Progress, begin, search
 from optimize.evaluate import Evaluator
 from optimize.problem import Problem, Settings, loss
@@ -149,48 +149,64 @@ def _simplex(problem: Problem, of: Callable[[np.ndarray], float]) -> None:
 
 
 def reached(trace: Trace, target: float) -> float | None:
-    """Cost at which a trace reaches the target."""
-    found = np.flatnonzero(trace.best <= target)
+    """Cost at which a trace reaches the target; None also where there is none, for the gradient found nothing."""
+    found = np.flatnonzero((trace.best <= target) & np.isfinite(target))
     return float(trace.cost[found[0]]) if len(found) else None
 
 
 def table(found: Comparison) -> str:
-    """Simulations to the target, and what each had in the end."""
+    """Simulations to the target, what each had in the end, and a sentence where a search found nothing."""
     base = reached(found.traces[0], found.target)
+    target = f"target {found.target:.5g}" if np.isfinite(found.target) else "no target"
     lines = [
-        f"{found.variables} variables; a value with its gradient costs {found.ratio:.1f} forward runs; target {found.target:.5g}",
+        f"{found.variables} variables; a value with its gradient costs {found.ratio:.1f} forward runs; {target}",
         f"{'search':<24}{'forward runs':>14}{'times the gradient':>20}{'best at the end':>18}",
     ]
     for trace in found.traces:
-        cost = reached(trace, found.target)
+        cost, best = reached(trace, found.target), trace.best[-1]
         often = "-" if cost is None or not base else f"{cost / base:.1f}"
         if cost is None and base:
             often = f"> {trace.cost[-1] / base:.1f}"
         shown = "not reached" if cost is None else f"{cost:.0f}"
-        lines.append(f"{trace.name:<24}{shown:>14}{often:>20}{trace.best[-1]:>18.5g}")
-    return "\n".join(lines)
+        last = f"{best:.5g}" if np.isfinite(best) else "none"
+        lines.append(f"{trace.name:<24}{shown:>14}{often:>20}{last:>18}")
+    return "\n".join([*lines, *_not_found(found)])
+
+
+def _not_found(found: Comparison) -> list[str]:
+    """One sentence where no search found a point, or the gradient none; they all begin at one start."""
+    gradient = found.traces[0]
+    least, start = min(t.best[-1] for t in found.traces), gradient.best[0]
+    if not np.isfinite(least):
+        return ["no search found a point at which the run holds"]
+    if not np.isfinite(gradient.best[-1]):
+        return ["the gradient found no point at which the run holds: there is no target"]
+    if least >= start:
+        return ["no search found a point better than the start"]
+    if gradient.best[-1] >= start:
+        return ["the gradient found no point better than the start, which is the target"]
+    return []
 
 
 FILES = ("comparison.png", "comparison.json")
-"""The last is written last."""
+"""The last comes last into the folder."""
 
 
 def write_comparison(folder: Path, found: Comparison) -> list[str]:
-    """Numbers and a picture."""
+    """Numbers, null where there is none, and a picture. The numbers first: a picture that fails must not cost them."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = {
-        t.name: {"forward_runs": reached(t, found.target), "best": float(t.best[-1]), "falls": _falls(t)}
-        for t in found.traces
+        t.name: {"forward_runs": reached(t, found.target), "best": t.best[-1], "falls": _falls(t)} for t in found.traces
     }
     data = {"target": found.target, "gradient_cost": found.ratio, "variables": found.variables, "searches": rows}
+    write_whole(folder / "comparison.json", json.dumps(plain(data), indent=2, allow_nan=False) + "\n")
     plot_style.save(folder / "comparison.png", lambda: picture(found))
-    write_whole(folder / "comparison.json", json.dumps(data, indent=2) + "\n")
     return list(FILES)
 
 
 def _falls(trace: Trace) -> list[list[float]]:
     """[cost, best] at every gain."""
-    gains = np.flatnonzero(np.diff(trace.best, prepend=np.inf) < 0)
+    gains = np.flatnonzero(trace.best < np.append(np.inf, trace.best[:-1]))
     return [[float(trace.cost[k]), float(trace.best[k])] for k in gains]
 
 
@@ -198,12 +214,20 @@ def picture(found: Comparison) -> "Axes":
     """How far the best punished objective is above the best of all searches, against cost."""
     ax = plot_style.axes(None)
     least = min(t.best[-1] for t in found.traces)
+    drawn = False
     for i, trace in enumerate(found.traces):
-        above = np.where(trace.best > least, trace.best - least, np.nan)
+        shown = np.isfinite(trace.best) & (trace.best > least)
+        above = np.subtract(trace.best, least, out=np.full(len(shown), np.nan), where=shown)
         ax.step(trace.cost, above, where="post", label=trace.name, **plot_style.line(i))
-    ax.axhline(found.target - least, color=plot_style.FAINT, linewidth=0.8)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+        drawn |= bool(shown.any())
+    if drawn:
+        if least < found.target < np.inf:
+            ax.axhline(found.target - least, color=plot_style.FAINT, linewidth=0.8)
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+    else:  # a logarithm of nothing is no axis
+        words = "\n".join(_not_found(found) or ["no search had a value above the best found"])
+        ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", fontsize=plot_style.TEXT, color=plot_style.STEEL)
     plot_style.label(ax, "Forward runs", "Punished objective above the best found")
     plot_style.legend_beside(ax)
     return ax

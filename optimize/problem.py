@@ -13,6 +13,7 @@ from jax import Array
 
 import diffeed
 from diffeed.names import nearest
+from diffeed.stacking import misfit
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
 from optimize.study import Goal, Study
@@ -239,6 +240,7 @@ def make_problem(
     if not problems:
         for name, medium in scenes.items():
             run_problems(study, medium, f"media.{name}" if name else "", problems, _at_once(study))
+        problems += _media_problems(scenes)
     if problems:
         raise StudyError(problems, where)
     start = free.unit(tuple(study.variables.values()), [free.start_of(v, base) for v in study.variables.values()])
@@ -253,6 +255,14 @@ def make_problem(
         start,
         inputs,
     )
+
+
+def _media_problems(scenes: dict[str, diffeed.Scene]) -> Iterator[str]:
+    """Media run as one batch of scenes."""
+    (first, base), *others = scenes.items()
+    for name, scene in others:
+        if found := misfit(base, scene):
+            yield f"media.{name} must differ from media.{first} in numbers alone, but {found}"
 
 
 def _at_once(study: Study) -> int:

@@ -54,3 +54,61 @@ def test_the_gradient_pays_for_all_its_runs(monkeypatch):
     found = compare._gradient(problem, lambda unit: float(unit[0]), ratio=3.0, budget=100, at_start=1.0)
     assert found.cost == pytest.approx([1.0, 3.0 * 2, 3.0 * 7])
     assert found.best == pytest.approx([1.0, 0.2, 0.2])
+
+
+# --- searches that find nothing -----------------------------------------------------------------------------------------
+
+
+def ended(*bests):
+    """A comparison of searches with these best values over their first runs; the first is the gradient's."""
+    traces = [
+        Trace(t.name, np.arange(1.0, len(b) + 1.0), np.array(b, float))
+        for t, b in zip(FOUND.traces, bests, strict=True)
+    ]
+    found = traces[0].best[-1]
+    return Comparison(traces, float(found + 0.02 * abs(found)), ratio=2.0, variables=1)
+
+
+INF = np.inf
+NOTHING = pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (ended([1], [1] * 5, [1] * 5), "no search found a point better than the start"),
+        (ended([0], [0, 0], [0, 0]), "no search found a point better than the start"),
+        (ended([-2], [-2, -2], [-2, -3]), "the gradient found no point better than the start, which is the target"),
+        (ended([INF], [INF, 2], [INF, 1.5]), "the gradient found no point at which the run holds: there is no target"),
+        (ended([INF], [INF, INF], [INF, INF]), "no search found a point at which the run holds"),
+        (ended([INF, 1], [INF, 2], [INF, 1.5]), ""),
+    ],
+)  # fmt: skip
+
+
+@NOTHING
+def test_what_was_not_found_is_said_and_not_counted(found, said):
+    """A search that found no point has reached nothing, and the table says so in a sentence."""
+    rows = table(found).splitlines()
+    assert rows[5:] == ([said] if said else [])
+    held = np.isfinite(found.traces[0].best[-1])
+    assert ("no target" in rows[0]) == (not held)
+    assert any(reached(t, found.target) is not None for t in found.traces) == held
+    assert "inf" not in "\n".join(rows)
+
+
+@NOTHING
+@pytest.mark.filterwarnings("error")
+def test_the_result_is_written_whatever_was_found(found, said, tmp_path):
+    """JSON that every reader takes, and a picture that says when there is nothing to draw."""
+    write_comparison(tmp_path, found)
+    text = (tmp_path / "comparison.json").read_text()
+    data = json.loads(text, parse_constant=pytest.fail)  # Infinity, NaN
+    best = found.traces[0].best[-1]
+    assert data["searches"]["gradient"]["best"] == (best if np.isfinite(best) else None)
+    assert (tmp_path / "comparison.png").stat().st_size > 5_000
+
+
+def test_the_numbers_are_kept_where_a_picture_fails(monkeypatch, tmp_path):
+    """Searches take hours, a picture a second: the numbers are written before it is drawn."""
+    monkeypatch.setattr(compare, "picture", lambda found: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_comparison(tmp_path, FOUND)
+    assert json.loads((tmp_path / "comparison.json").read_text())["target"] == 1.02

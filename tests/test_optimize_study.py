@@ -14,6 +14,8 @@ GOOD = {
     "objective": {"force": {"measure": "nip_force", "of": "pinch", "target": 4.0}},
 }
 
+THIN = {"sheets.strip.thickness": 0.15}
+
 
 def problems_of(table, scene=None):
     with pytest.raises(optimize.StudyError) as caught:
@@ -119,6 +121,33 @@ def test_everything_that_does_not_fit_the_scene_is_said_at_once():
 def test_a_scene_that_does_not_hold_is_refused_for_each_medium():
     table = GOOD | {"media": {"foil": {"set": {"sheets.strip.thickness": -1.0}}}}
     assert any("media.foil" in p and "thickness" in p for p in problems_of(table))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("sheets.strip.bars", 3, "sheets.strip.bars is 4 in one and 3 in the other"),
+        ("contacts.default.friction_law", "tanh", "contacts.default.friction_law is 'sqrt' in one and 'tanh'"),
+        ("initial", "settled", "initial is 'given' in one and 'settled' in the other"),
+        ("duration", 0.02, "duration is 0.03 in one and 0.02 in the other"),
+        ("rollers.drive.angular_speed", -30.0,
+         "rollers.drive.angular_speed is a profile in one and a number in the other"),
+        ("rollers.pinch.travel_max", 1.0, "rollers.pinch.travel_max is absent in one and a number in the other"),
+    ],
+)  # fmt: skip
+def test_media_that_cannot_run_together_are_named_with_what_differs(path, value, said):
+    """All media are one batch: they have the same words and shapes, and numbers of their own."""
+    (problem,) = problems_of(GOOD | {"media": {"plain": {}, "thin": {"set": THIN}, "coarse": {"set": {path: value}}}})
+    assert problem.startswith(f"media.coarse must differ from media.plain in numbers alone, but {said}"), problem
+
+
+def test_media_differ_in_numbers_and_one_alone_in_anything():
+    """A profile has as many points as it likes, and a single medium is no batch."""
+    longer = diffeed.Profile(times=(0.0, 0.01, 0.02), values=(0.0, -10.0, -40.0))
+    media = {"plain": {}, "thin": {"set": THIN | {"rollers.drive.angular_speed": longer}}}
+    assert make_problem(make_study(GOOD | {"media": media}), scene=nip()).media == ("plain", "thin")
+    alone = {"coarse": {"set": {"sheets.strip.bars": 3}}}
+    assert make_problem(make_study(GOOD | {"media": alone}), scene=nip()).media == ("coarse",)
 
 
 def test_a_file_that_is_none(tmp_path):

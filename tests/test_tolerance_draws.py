@@ -1,13 +1,17 @@
 """What sample i draws: families, independence, groups, the same numbers whatever the batch; and what is refused."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 from stand_in_nip import nip
 
+import diffeed
 from optimize.asked import StudyError
 from optimize.tolerance.draws import correlation, deviations, epsilons, uniforms
-from optimize.tolerance.problem import make_tolerance, packed, unpacked
+from optimize.tolerance.media import MOVING, find
+from optimize.tolerance.moves import sampled
+from optimize.tolerance.problem import at_axes, make_tolerance, packed, unpacked
 
 PINCH = {"path": "rollers.pinch.preload", "sigma": 0.1}
 BASE = {"scene": "nip", "duration": 0.01, "dt": 2e-4, "frames": 5, "tolerances": {"preload": PINCH}}
@@ -165,6 +169,15 @@ def test_a_longest_step_that_is_not_given_is_no_bound_on_any_machine():
         ({"latitude": {"x": {"path": "sheets.strip.curl", "range": [-0.1, 0.1]},
                        "y": {"path": "rollers.pinch.travel_max", "range": [0.1, 0.2]}}},
          "latitude.y: path must name one number, but rollers.pinch.travel_max holds nothing"),
+        ({"latitude": {"x": {"path": ["sheets.strip.curl", "sheets.strip.thickness"], "range": [-0.1, 0.1]},
+                       "y": {"path": ["sheets.strip.thickness"], "range": [0.1, 0.2]}}},
+         "latitude.y.path must name other numbers than latitude.x, but names sheets.strip.thickness again"),
+        ({"media": {"strip": "copy_paper_80"},
+          "latitude": {"x": {"climate": "strip", "range": [-1, 0]}, "y": {"climate": "strip", "range": [-1, 1]}}},
+         "latitude.y.climate must name another sheet than latitude.x, but names strip again"),
+        ({"media": {"strip": "copy_paper_80"},
+          "tolerances": {"a": {"climate": "strip", "sigma": 0.1}, "b": {"climate": "strip", "sigma": 0.1}}},
+         "tolerances.b.climate must name another sheet than tolerances.a, but names strip again"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_in_one_sentence(changes, message):
@@ -188,6 +201,35 @@ def test_a_card_comes_before_what_scatters_about_it(tmp_path):
     found = drawn(study, 64)[:, 0] + float(study.scene.sheets["strip"].thickness)
     assert found.min() >= 0.10
     assert found.max() <= 0.11
+
+
+AIR = {"climate": "strip", "sigma": 0.3}
+
+
+@pytest.mark.parametrize("quantity", MOVING)
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_climate_takes_nothing_from_what_scatters_about_it(quantity, relative):
+    """Whichever stands first in the file, a sheet is off by its own share from what the climate makes of it."""
+    own = {"path": f"sheets.strip.{quantity}", "sigma": 0.1, "relative": relative}
+    found = []
+    for tolerances in ({"own": own, "air": AIR}, {"air": AIR, "own": own}):
+        study = problem(media={"strip": "copy_paper_80/humid"}, tolerances=tolerances)
+        assert [i.name for i in study.inputs] == list(tolerances)
+        by = {"own": 0.25, "air": -0.5}
+        moved = sampled(study.inputs, study.scene, jnp.asarray([by[i.name] for i in study.inputs]))
+        found.append(float(diffeed.get(moved, own["path"])))
+    of_climate = float(find("copy_paper_80")[0].at(quantity, 0.5))
+    assert found == pytest.approx([of_climate * 1.25 if relative else of_climate + 0.25] * 2, rel=1e-6)
+
+
+def test_a_latitude_sets_a_number_in_any_climate():
+    """Curl against climate: the climate moves the rest, whichever axis it is on."""
+    curl, air = {"path": "sheets.strip.curl", "range": [-0.01, 0.01]}, {"climate": "strip", "range": [-1, 1]}
+    for axes, point in (({"x": curl, "y": air}, (0.004, 0.5)), ({"x": air, "y": curl}, (0.5, 0.004))):
+        study = problem(media={"strip": "copy_paper_80"}, latitude=axes)
+        sheet = at_axes(study, study.scene, study.study.latitude, jnp.asarray(point)).sheets["strip"]
+        assert float(sheet.curl) == pytest.approx(0.004)
+        assert float(sheet.youngs_modulus) == pytest.approx(float(find("copy_paper_80")[0].at("youngs_modulus", 0.5)))
 
 
 def test_measured_values_that_are_tied_stay_so_on_another_machine(tmp_path):

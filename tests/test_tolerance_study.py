@@ -26,7 +26,7 @@ from optimize.tolerance.replay import replay
 from optimize.tolerance.report import print_summary, write_result
 from optimize.tolerance.run import Rows
 from optimize.tolerance.study import drawn, here, run_rows, run_study
-from optimize.tolerance.summary import summarise
+from optimize.tolerance.summary import summarise, tighten
 
 STUDY = {
     "scene": "nip",
@@ -165,6 +165,74 @@ def test_blame_falls_on_the_number_that_moves_the_measure_not_on_another_of_its_
     first, second = (line for line in screen.file.getvalue().splitlines() if "rollers.pinch" in line)
     assert first.split() == ["place[rollers.pinch.center[1]]", "100", "%"]
     assert second.startswith("place[rollers.pinch.center[0]]")
+
+
+# --- what tightening brings ---------------------------------------------------------------------------------------------
+
+
+BATCH = {"group": "batch", "correlation": 0.8}
+SPRING = {"path": "rollers.pinch.spring", "sigma": 0.01} | BATCH
+
+
+def judged(passing, samples=20_000, **tolerances):
+    """What `tighten` finds where a sample passes by its deviations alone, (samples, inputs)."""
+    study = problem(nip(), tolerances=tolerances, samples=samples)
+    off, nothing = drawn(study), np.zeros(samples)
+    status, broken = np.where(passing(off), 0, 1), np.zeros((samples, 0), bool)
+    return tighten(study, Rows(np.arange(samples), off, status, nothing, nothing, off, broken))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"kind": "uniform", "tolerance": 0.5},
+        {"kind": "triangular", "tolerance": 0.6},
+        {"kind": "truncated_normal", "tolerance": 0.6},
+        {"sigma": 0.25},
+    ],
+)
+def test_what_only_goes_with_the_cause_brings_nothing(other):
+    """Samples pass by their preload alone, whose group the spring is of: a tighter spring lets no more of them pass."""
+    preload = {"path": "rollers.pinch.preload"} | BATCH | other
+    found = judged(lambda off: np.abs(off[:, 1]) < 0.3, spring=SPRING, preload=preload)["spring"]
+    assert abs(found["gain"]) < 3.0 * found["error"] < 0.01
+
+
+def test_the_gain_in_a_group_of_two_kinds_is_that_of_tighter_parts():
+    """The pass depends on both: the same draws with a spring scatter 5 % smaller and larger give the slope."""
+    preload = {"path": "rollers.pinch.preload", "kind": "uniform", "tolerance": 0.5} | BATCH
+
+    def passing(off, by=1.0):
+        return np.abs(off[:, 1] / 0.5 + by * off[:, 0] / 0.01) < 1.5
+
+    found = judged(passing, 100_000, spring=SPRING, preload=preload)
+    off = drawn(problem(nip(), tolerances={"spring": SPRING, "preload": preload}, samples=100_000))
+    slope = (passing(off, 1.05).mean() - passing(off, 0.95).mean()) / 0.1
+    assert found["spring"]["gain"] == pytest.approx(-0.1 * slope, abs=4.0 * found["spring"]["error"])
+    assert found["spring"]["error"] < 0.1 * found["spring"]["gain"]
+    assert np.isnan(found["preload"]["gain"])
+
+
+def test_one_of_inputs_that_are_one_has_no_estimate():
+    """Two numbers of one draw: no sample says what one tightened without the other does; tightened together they have one."""
+    one, other = (
+        {"path": f"rollers.{part}.friction", "sigma": 0.05, "group": "g", "correlation": 1.0}
+        for part in ("drive", "pinch")
+    )
+    found = judged(lambda off: np.abs(off[:, 0]) < 0.05, 2000, one=one, other=other)
+    assert np.isnan([found["one"]["gain"], found["other"]["gain"]]).all()
+    both = judged(lambda off: np.abs(off[:, 0]) < 0.05, 2000, both=one | {"path": [one["path"], other["path"]]})["both"]
+    assert both["gain"] > 3.0 * both["error"]
+
+
+def test_a_gain_without_an_estimate_is_explained():
+    """A dash in the table has its reasons beneath."""
+    study = problem(nip(), tolerances={"preload": STUDY["tolerances"]["preload"] | {"kind": "triangular"}})
+    off, nothing = drawn(study), np.zeros(24)
+    rows = Rows(np.arange(24), off, nothing.astype(int), nothing, nothing, np.zeros((24, 2)), np.zeros((24, 1), bool))
+    screen = Console(file=io.StringIO(), width=200)
+    print_summary(screen, summarise(study, rows))
+    assert '"-": no estimate' in screen.file.getvalue()
 
 
 # --- the same however it is run -----------------------------------------------------------------------------------------

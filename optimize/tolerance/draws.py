@@ -7,7 +7,7 @@ into what is added to the scene's own numbers. All on the host, by SciPy.
 import csv
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,6 +108,7 @@ def inputs_of(
 ) -> tuple[Input, ...]:  # fmt: skip
     """All inputs in the order of the tolerances; what does not fit is added to `problems`."""
     found = []
+    problems += _climate_problems(tolerances)
     for name, of in tolerances.items():
         before = len(problems)
         column = _column(f"tolerances.{name}", of, folder, problems) if of.kind == "data" else None
@@ -120,6 +121,15 @@ def inputs_of(
             problems.append(f"tolerances must scatter at most {MOST_INPUTS} numbers, but {name} is beyond that")
             break
     return tuple(found)
+
+
+def _climate_problems(tolerances: dict[str, Tolerance]) -> Iterator[str]:
+    """A sheet has one climate: the second would replace the first."""
+    first: dict[str, str] = {}
+    for name, of in tolerances.items():
+        if of.climate is not None and first.setdefault(of.climate, name) != name:
+            said = f"must name another sheet than tolerances.{first[of.climate]}, but names {of.climate} again"
+            yield f"tolerances.{name}.climate {said}"
 
 
 def _targets(of: Tolerance) -> list[tuple[str | None, Moved]]:
@@ -239,6 +249,11 @@ def correlation(inputs: tuple[Input, ...]) -> np.ndarray:
     found = np.where(together, np.outer(loads, loads), 0.0)
     np.fill_diagonal(found, 1.0)
     return found
+
+
+def normals(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:
+    """(samples, inputs) the normal numbers behind the inputs, of whatever kind: they have the `correlation`."""
+    return stats.norm.ppf(deviates(inputs, u))
 
 
 def epsilons(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import diffeed
 from diffeed import measures
 from optimize.asked import number_at
 from optimize.programs import kept
-from optimize.tolerance.problem import ToleranceProblem, at_axis, rest_of
+from optimize.tolerance.problem import ToleranceProblem, at_axes, rest_of
 from optimize.tolerance.records import Axis, Latitude
 from optimize.tolerance.run import bytes_of, run_of
 from optimize.tolerance.spread import Spread, chunk_size
@@ -52,7 +52,7 @@ def _outcome_at(problem: ToleranceProblem, asked: Latitude) -> Callable[[Array, 
 
     def outcome(point: Array, given: tuple[diffeed.Scene, Any]) -> tuple[Array, Array]:
         scene, rest = given
-        moved = at_axis(problem, at_axis(problem, scene, asked.x, point[0]), asked.y, point[1])
+        moved = at_axes(problem, scene, asked, point)
         run = run_of(problem, moved, rest, ("feed", "spans"))
         margin = jnp.where(run.ok, measures.jam_margin(moved, run), jnp.nan)
         return margin, measures.outcome(moved, run).status == 0

@@ -10,8 +10,11 @@ from optimize.tolerance.draws import Input
 
 
 def sampled(inputs: tuple[Input, ...], scene: diffeed.Scene, deviation: Array) -> diffeed.Scene:
-    """The scene with every input off by its deviation, (inputs,), which may be traced."""
-    for given, by in zip(inputs, deviation, strict=True):
+    """The scene with every input off by its deviation, (inputs,), which may be traced.
+
+    Climates come first, wherever they stand: they set a sheet's numbers, about which other inputs of that sheet scatter.
+    """
+    for given, by in sorted(zip(inputs, deviation, strict=True), key=lambda pair: pair[0].climate is None):
         scene = _moved(scene, given, by)
     return scene
 

@@ -97,8 +97,7 @@ def make_tolerance(
     measures = [resolved("measures", n, m, base, problems) for n, m in study.measures.items()]
     limits = [resolved("limits", n, m, base, problems) for n, m in study.limits.items()]
     if study.latitude is not None:
-        for name in ("x", "y"):
-            problems += _axis_problems(f"latitude.{name}", getattr(study.latitude, name), base, cards)
+        problems += _latitude_problems(study.latitude, base, cards)
     if study.samples * max(1, len(inputs)) > MOST_NUMBERS:
         most = MOST_NUMBERS // len(inputs)
         problems.append(
@@ -115,6 +114,17 @@ def make_tolerance(
         raise StudyError(problems, where)
     kept = (tuple(filter(None, measures)), tuple(filter(None, limits)))
     return ToleranceProblem(study, base, inputs, *kept, cards)
+
+
+def _latitude_problems(asked: Latitude, scene: diffeed.Scene, cards: dict[str, Any]) -> list[str]:
+    """What does not fit; a number or a climate that both axes set would be what the last of them says."""
+    x, y = asked.x, asked.y
+    found = [p for n in ("x", "y") for p in _axis_problems(f"latitude.{n}", getattr(asked, n), scene, cards)]
+    if twice := sorted(set(x.paths) & set(y.paths)):
+        found.append(f"latitude.y.path must name other numbers than latitude.x, but names {', '.join(twice)} again")
+    if y.climate is not None and x.climate == y.climate:
+        found.append(f"latitude.y.climate must name another sheet than latitude.x, but names {y.climate} again")
+    return found
 
 
 def _axis_problems(where: str, axis: Axis, scene: diffeed.Scene, cards: dict[str, Any]) -> list[str]:
@@ -149,8 +159,15 @@ def unpacked(table: dict[str, Any]) -> ToleranceProblem:
     return make_tolerance(table["study"], scene=diffeed.read_scene(table["scene"]))
 
 
-def at_axis(problem: ToleranceProblem, scene: diffeed.Scene, axis: Axis, value: Array) -> diffeed.Scene:
-    """The scene with the numbers of a latitude's axis at a value."""
+def at_axes(problem: ToleranceProblem, scene: diffeed.Scene, asked: Latitude, point: Array) -> diffeed.Scene:
+    """The scene at a point of a latitude, (2,) of x and y. A climate comes first: the other axis may set one of its numbers."""
+    both = zip((asked.x, asked.y), point, strict=True)
+    for axis, value in sorted(both, key=lambda pair: pair[0].climate is None):
+        scene = _at_axis(problem, scene, axis, value)
+    return scene
+
+
+def _at_axis(problem: ToleranceProblem, scene: diffeed.Scene, axis: Axis, value: Array) -> diffeed.Scene:
     if axis.climate is not None:
         return media.move_climate(scene, axis.climate, problem.cards[axis.climate][0], value)
     for path in axis.paths:

@@ -15,7 +15,7 @@ from optimize.tolerance.latitude import Map
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
 from optimize.tolerance.statistics import convergence
-from optimize.tolerance.summary import TIGHTER, limits_of
+from optimize.tolerance.summary import TIGHTER, UNKNOWN, limits_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -94,6 +94,8 @@ def _print_tighten(console: "Console", found: dict[str, Any]) -> None:
     console.print()
     console.print(table)
     console.print("in percentage points; a gain within twice its error may be none: such a tolerance may be relaxed")
+    if any(v["gain"] is None for v in found.values()):
+        console.print(f'"-": no estimate, as for {UNKNOWN}')
 
 
 def write_result(

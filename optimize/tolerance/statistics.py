@@ -260,12 +260,18 @@ def normal_slope(passed: Any, epsilon: Any, correlation: Any, members: Any) -> S
     """s dP(pass)/ds for the common scale s of some of the normal inputs, epsilon (n, d) with `correlation` R (d, d).
 
     The density of x = s eps has d log p/d log s_i = eps_i (R^-1 eps)_i - 1, summed over the `members`; its mean is 0, so that
-    h - E[h] serves as well as h and scatters less. Where R is singular (inputs that are one) its pseudo-inverse serves.
+    h - E[h] serves as well as h and scatters less. Inputs of other kinds may be among the d: then eps is the normal number
+    behind them. Where R is singular (inputs that are one) its pseudo-inverse serves; nan if they are not all members, for no
+    sample has one scaled without the other.
     """
     h, eps, r = (np.asarray(v, dtype=float) for v in (passed, epsilon, correlation))
     if h.size < 2:
         return Slope(math.nan, math.nan)
     inverse = np.linalg.pinv(r, hermitian=True)
+    scaled = np.zeros_like(r)
+    scaled[members] = r[members]
+    if not np.allclose(r @ inverse @ scaled, scaled):
+        return Slope(math.nan, math.nan)
     score = eps * (eps @ inverse) - np.diag(inverse @ r)
     terms = (h - h.mean()) * score[:, members].sum(axis=1)
     return Slope(float(terms.mean()), float(stats.sem(terms)))

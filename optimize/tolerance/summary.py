@@ -8,7 +8,7 @@ from diffeed import measures
 from diffeed.files import plain
 from optimize.asked import Asked
 from optimize.tolerance.contributions import Slopes
-from optimize.tolerance.draws import correlation, epsilons, uniforms
+from optimize.tolerance.draws import correlation, epsilons, normals, uniforms
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
 from optimize.tolerance.statistics import (
@@ -27,6 +27,11 @@ TIGHTER = 0.1
 """Share by which a tolerance is made tighter in the table of what that would bring."""
 NORMAL = ("normal", "log_normal")
 """Kinds whose deviates are normal numbers."""
+UNKNOWN = (
+    "triangular, truncated and measured values, a uniform one of a group, one that is the same draw as another's, and too "
+    "few samples"
+)
+"""What has no estimate of a gain."""
 SHOWN = 5
 """Samples named for each way to fail."""
 
@@ -122,16 +127,17 @@ def _blame(
 
 def tighten(problem: ToleranceProblem, rows: Rows) -> dict[str, Any]:
     """What making each tolerance 10 % tighter brings: more samples that pass (a share), its standard error, and the gain for
-    the cost. A tolerance of several parts is tightened for all of them. None where the family has no estimate."""
+    the cost. A tolerance of several parts is tightened for all of them. NaN where there is no estimate, see `UNKNOWN`."""
     u = uniforms(problem.inputs, problem.study.sampling, problem.study.samples, problem.study.seed)[rows.sample]
-    eps, linked = epsilons(problem.inputs, u), correlation(problem.inputs)
+    eps = epsilons(problem.inputs, u)
+    # A normal input is scored with all that it is drawn with, of whatever kind; what is neither leaves its score alone.
+    scored = [k for k, i in enumerate(problem.inputs) if i.of.kind in NORMAL or i.of.group]
+    z, linked = normals(problem.inputs, u)[:, scored], correlation(problem.inputs)[np.ix_(scored, scored)]
     found: dict[str, Any] = {}
     for name, of in problem.study.tolerances.items():
         mine = [k for k, i in enumerate(problem.inputs) if i.of is of]
         if of.kind in NORMAL:
-            normal = [k for k, i in enumerate(problem.inputs) if i.of.kind in NORMAL]
-            members = [normal.index(k) for k in mine]
-            each = [normal_slope(rows.passed, eps[:, normal], linked[np.ix_(normal, normal)], members)]
+            each = [normal_slope(rows.passed, z, linked, [scored.index(k) for k in mine])]
         else:  # in a group such a number is drawn with others: there is no estimate
             each = [yield_slope(rows.passed, eps[:, k], "data" if of.group else of.kind, 1.0) for k in mine]
         gain = -TIGHTER * float(np.sum([s.value for s in each]))
