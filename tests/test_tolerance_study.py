@@ -18,6 +18,7 @@ import diffeed
 from diffeed import measures
 from optimize.asked import StudyError
 from optimize.tolerance import latitude as latitude_of
+from optimize.tolerance import report
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
@@ -135,6 +136,28 @@ def test_slopes_are_those_of_differences(rows):
     (seen,) = evaluate(np.arange(4), step)
     assert found.nominal[:, 0] == pytest.approx((seen.values[0] - seen.values[1]) / 2e-3, rel=1e-4, abs=1e-7)
     assert found.nominal[:, 1] == pytest.approx((seen.values[2] - seen.values[3]) / 2e-3, rel=1e-4, abs=1e-7)
+
+
+def test_what_is_to_blame_is_shown_where_there_is_no_slope_at_the_nominal_scene():
+    """Shares that are known stand in the table; a kind of which nothing is known has no column."""
+    none, blame = [None, None], {"std": 1.0, "regression": [0.7, 0.3], "explained": 0.99, "first order std": None}
+    few = {"std": 1.0, "regression": none, "explained": None, "sobol total": [0.6, 0.4]}
+
+    def told(blame):
+        text = io.StringIO()
+        report._print_blame(Console(file=text, width=100), "arrival", blame, ["a", "b"])
+        return text.getvalue()
+
+    found = told(blame | {"first order": none})
+    assert found == told(blame)
+    assert "70 %" in found
+    assert "a straight line explains 99 %" in found
+    found = told(few)
+    assert "60 %" in found
+    assert "Sobol total" in found
+    assert "regression" not in found
+    assert "straight line" not in found
+    assert told(few | {"sobol total": none}) == ""
 
 
 @pytest.mark.slow
