@@ -368,7 +368,15 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         trial = jax.tree.map(lambda a, b: jnp.where(carry.done, a, b), rest, trial)
         done = carry.done | (good & whole & close & (span2 > 1e2))
         return _Search(
-            carry.tries + 1, trial, best, next_span2, before, close & (span2 > first), done, _dense(jacobian), carry.done
+            carry.tries + 1,
+            trial,
+            best,
+            next_span2,
+            before,
+            close & (span2 > first),
+            done,
+            _dense(jacobian),
+            carry.done,
         )
 
     unknowns = guess.q.shape[0] + guess.reaction.shape[0]

@@ -25,7 +25,7 @@ from optimize.tolerance.latitude import latitude
 from optimize.tolerance.problem import load_tolerance, make_tolerance, unpacked
 from optimize.tolerance.replay import replay
 from optimize.tolerance.report import print_summary, write_result
-from optimize.tolerance.run import Rows
+from optimize.tolerance.run import Rows, chosen
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise
 
@@ -252,6 +252,26 @@ def test_an_earlier_study_is_compared_sample_by_sample(rows, tmp_path):
         FolderError, match="headings of this study; compare studies of the same tolerances, measures and"
     ):
         read_rows(tmp_path / "made", other, drawn(other))
+
+
+def test_a_study_with_fewer_samples_is_not_compared(tmp_path):
+    """Shares of two numbers of draws would stand side by side; a sample that was written twice counts once."""
+    study = problem(samples=4)
+    deviation = drawn(study)
+    blank = {"status": np.zeros(4, int), "reason": np.zeros(4, int), "time": np.zeros(4)}
+    made = Rows(np.arange(4), deviation, **blank, values=np.zeros((4, 2)), broken=np.zeros((4, 1), bool))
+    folder = Folder(tmp_path / "made", study)
+    folder.start(resume=False, force=False)
+    try:
+        folder.add(chosen(made, np.array([0, 0, 2])))
+        with pytest.raises(
+            FolderError, match=r"samples.csv holds 2 of the 4 samples to compare with; finish that study"
+        ):
+            read_rows(tmp_path / "made", study, deviation)
+        folder.add(chosen(made, np.array([3, 1])))
+        assert same(read_rows(tmp_path / "made", study, deviation), made)
+    finally:
+        folder.close()
 
 
 def test_indices_of_a_group_are_refused_before_anything_is_run():

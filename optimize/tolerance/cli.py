@@ -23,7 +23,9 @@ SCENE = click.option("--scene", help="Another scene of the same parts (an improv
 @click.option("--dt", type=click.FloatRange(0, min_open=True), help="Longest step in s, instead of the study's.")
 @SCENE
 @click.option(
-    "--before", type=click.Path(path_type=Path), help="Folder of a finished study of the same draws, to compare with."
+    "--before",
+    type=click.Path(path_type=Path),
+    help="Folder of a finished study of the same draws, as many or more, to compare with.",
 )
 @click.option(
     "--gradients",
