@@ -222,7 +222,7 @@ def make_problem(
     study: Study, where: str = "study", scene: diffeed.Scene | None = None, folder: Path | None = None
 ) -> Problem:
     """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names; files of
-    measured values count from `folder`."""
+    measured values count from `folder` (where Python runs, if not given)."""
     try:
         base = diffeed.load_scene(study.scene) if scene is None else scene
     except diffeed.SceneError as error:
