@@ -6,7 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
@@ -16,14 +18,16 @@ from test_optimize_cli import ROOT
 
 import diffeed
 from diffeed import measures
+from diffeed.verdict import Verdict
 from optimize.asked import StudyError
+from optimize.terms import TERMS, Term
 from optimize.tolerance import latitude as latitude_of
 from optimize.tolerance import report
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
 from optimize.tolerance.problem import load_tolerance, make_tolerance, unpacked
-from optimize.tolerance.replay import replay
+from optimize.tolerance.replay import judged, replay
 from optimize.tolerance.report import print_summary, write_result
 from optimize.tolerance.run import Rows, chosen
 from optimize.tolerance.study import drawn, here, run_rows, run_study
@@ -425,6 +429,32 @@ def test_a_latitude_tells_what_passes_and_by_what_margin(monkeypatch):
     run = diffeed.simulate(softer, 0.01, 5e-4, 5, observe=("feed", "spans"))
     assert other.margin[2, 2] == pytest.approx(float(measures.jam_margin(softer, run)), rel=1e-6)
     assert abs(other.margin[2, 2] - found.margin[2, 2]) > 1e-6
+
+
+def test_what_breaks_a_limit_does_not_pass(monkeypatch, tmp_path):
+    """In the map as among the samples; the replay names the limit. Made-up runs: all of them pass their verdict."""
+    of = lambda scene, *_: scene.sheets["strip"].thickness  # noqa: E731
+    monkeypatch.setitem(TERMS, "made_up", Term(of, "", "mm", "made up"))
+    study = make_tolerance(
+        STUDY | {
+            "limits": {"made_up": {"measure": "made_up", "at_most": 0.25}},
+            "latitude": {"x": {"path": "sheets.strip.thickness", "range": [0.1, 0.3], "points": 3},
+                         "y": {"path": "sheets.strip.curl", "range": [-0.01, 0.01], "points": 2}},
+        },
+        scene=nip(),
+    )  # fmt: skip
+    made = SimpleNamespace(ok=jnp.asarray(True))
+    monkeypatch.setattr(latitude_of, "run_of", lambda *_: made)
+    monkeypatch.setattr(measures, "jam_margin", lambda scene, run: jnp.asarray(0.5))
+    monkeypatch.setattr(measures, "outcome", lambda scene, run: SimpleNamespace(status=jnp.asarray(0)))
+    assert latitude(study).passed.tolist() == [[True, True, False]] * 2
+
+    monkeypatch.setattr(measures, "verdict", lambda scene, run: Verdict("passed", "it moved", None, ""))
+    thick = diffeed.put(study.scene, "sheets.strip.thickness", 0.3)
+    assert judged(study, study.scene, made) == "passed: it moved"
+    assert judged(study, thick, made) == "passed: it moved, but breaks its limits: made_up above 0.25 (it is 0.3 mm)"
+    failed = SimpleNamespace(ok=jnp.asarray(False))
+    assert judged(study, thick, failed) == "passed: it moved"
 
 
 def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):

@@ -85,6 +85,8 @@ def tolerance(study: str, **options: Any) -> None:
 def latitude(study: str, scene: str | None, out: Path, force: bool, points: int | None) -> None:
     """Which sheets pass: a map over two quantities of a study, its [latitude.x] and [latitude.y].
 
+    A sheet passes as a sample of `tolerance` does: its run passes, and keeps the study's limits.
+
     \b
     Example:
       python -m optimize latitude film_tolerances --points 11 --out latitude
