@@ -57,6 +57,15 @@ def violations(limits: tuple[Asked, ...], values: Array) -> Array:
     return jnp.stack(found) if found else jnp.zeros((0,))
 
 
+def by_limit(limits: tuple[Asked, ...], sides: np.ndarray) -> np.ndarray:
+    """(..., sides) -> (..., limits): how far each limit is broken, by the worse of its sides."""
+    of = [k for k, a in enumerate(limits) for end in (a.spec.at_least, a.spec.at_most) if end is not None]
+    found = np.full((*sides.shape[:-1], len(limits)), -np.inf)
+    for side, k in enumerate(of):
+        found[..., k] = np.maximum(found[..., k], sides[..., side])
+    return found
+
+
 def changed(scene: diffeed.Scene, changes: dict[str, Any], where: str, problems: list[str]) -> diffeed.Scene:
     """The scene with numbers replaced by path; what does not fit is added to `problems`."""
     for path, value in changes.items():

@@ -214,7 +214,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
         click.echo(problem, err=True)
     from optimize.asked import StudyError
     from optimize.problem import make_problem
-    from optimize.study_file import folder_of, load_study
+    from optimize.study_file import load_study
 
     with refusing(StudyError):
         study = load_study(where)
@@ -225,7 +225,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
                 found = found.model_copy(update={"stages": [*found.stages[:-1], last]})
             study = study.model_copy(update={"search": found})
         click.echo(f"{where}: checking and compiling (takes longest the first time)", err=True)
-        problem = make_problem(study, where, folder=folder_of(where))
+        problem = make_problem(study, where)
         click.echo(f"gradient: {problem.plan().sentence()}", err=True)
         return problem
 

@@ -11,6 +11,7 @@ import numpy as np
 import diffeed
 from diffeed import measures
 from optimize import variables as free
+from optimize.asked import by_limit
 from optimize.descent import Line, Progress, begin, search
 from optimize.evaluate import seen_at
 from optimize.journal import Journal
@@ -32,6 +33,7 @@ class Scored:
     objective: float
     violation: float  # largest, in the limits' scales; <= 0: kept
     verdicts: tuple[measures.Verdict, ...]  # per medium
+    missed: np.ndarray  # (media, limits) how far each is broken, in its scale; `violation` is the largest
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -119,6 +121,7 @@ def score(problem: Problem, unit: np.ndarray) -> Scored:
         objective=float(over_media(problem, jnp.asarray(seen.objective))),
         violation=float(seen.violation.max(initial=-1.0)),
         verdicts=tuple(measures.verdict(*of) for of in zip(scenes, runs, strict=True)),
+        missed=by_limit(problem.limits, np.asarray(seen.violation)),
     )
 
 

@@ -223,7 +223,7 @@ def make_problem(
     study: Study, where: str = "study", scene: diffeed.Scene | None = None, folder: Path | None = None
 ) -> Problem:
     """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names; files of
-    measured values count from `folder`."""
+    measured values count from `folder` (where Python runs, if not given)."""
     try:
         base = diffeed.load_scene(study.scene) if scene is None else scene
     except diffeed.SceneError as error:
@@ -302,6 +302,8 @@ def _setting_problems(study: Study) -> Iterator[str]:
         yield f'method must be one of {", ".join(diffeed.METHODS)}, but is "{study.method}"'
     if study.robust.redraw and study.search.name == "lbfgs":
         yield 'robust.redraw must be false for "lbfgs": its line search compares points'
+    if study.search.gradient == "expected" and study.search.name == "lbfgs":
+        yield 'search.gradient must be "exact" for "lbfgs", whose line search compares single points, but is "expected"'
     if study.search.name not in OPTIMISERS:
         known, near = ", ".join(OPTIMISERS), nearest(study.search.name, OPTIMISERS)
         yield f'search.name must be an optimiser of optax ({known}), but is "{study.search.name}"{near}'

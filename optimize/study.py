@@ -110,7 +110,7 @@ class Search(Record):
     seed: Seed = 0
     """Of starts and samples."""
     gradient: Literal["exact", "expected"] = "exact"
-    """With "expected", the mean over points within the tolerances is followed."""
+    """With "expected", the mean over points within the tolerances is followed (not by lbfgs)."""
     samples: Annotated[int, Field(ge=2, le=1024), plain] = 8
     """Points of an expected gradient."""
     patience: Iterations = 15

@@ -26,7 +26,7 @@ _RECORDS: dict[str, type[BaseModel]] = {
 def load_study(name_or_path: str | os.PathLike[str]) -> Study:
     """The study of a shipped study's name or of a TOML file; StudyError lists everything that is wrong with it.
 
-    A relative path of the scene counts from the study file.
+    Relative paths of scene and measured values count from the study file.
     """
     where = os.fspath(name_or_path)
     table, _ = read_table(where)
@@ -43,7 +43,7 @@ def is_tolerance(table: dict[str, Any]) -> bool:
 
 
 def read_table(where: str) -> tuple[dict[str, Any], Path]:
-    """The plain table of a shipped study or of a TOML file, the path of its scene made whole; and the file's folder."""
+    """The plain table of a shipped study or of a TOML file, the paths in it made whole; and the file's folder."""
     shipped = shipped_studies()
     file = shipped.get(where, Path(where))
     table = _parse(file, where, sorted(shipped))
@@ -53,12 +53,16 @@ def read_table(where: str) -> tuple[dict[str, Any], Path]:
     if isinstance(scene, str) and not os.path.isabs(scene):
         beside = file.parent / scene
         table["scene"] = str(beside) if beside.is_file() else scene
+    _find_values(table, file.parent)
     return table, file.parent
 
 
-def folder_of(where: str) -> Path:
-    """The folder of a study's file."""
-    return shipped_studies().get(where, Path(where)).parent
+def _find_values(table: dict[str, Any], folder: Path) -> None:
+    """Make the paths of measured values whole, also of a file that is missing: one of that name may lie where the user is."""
+    tolerances = table.get("tolerances")
+    for given in tolerances.values() if isinstance(tolerances, dict) else ():
+        if isinstance(given, dict) and isinstance(given.get("file"), str):
+            given["file"] = str((folder / given["file"]).absolute())
 
 
 def make_study(table: dict[str, Any], where: str = "study") -> Study:

@@ -1,14 +1,22 @@
 """Robust design: the search sees machines that scatter, and follows the mean, the tail or the worst of them."""
 
+import io
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 from stand_in_nip import nip
 
 import optimize
+from diffeed import measures
+from optimize.asked import by_limit
+from optimize.descent import begin
+from optimize.design_run import Result, Scored
 from optimize.evaluate import Evaluator
 from optimize.journal import fingerprint
 from optimize.problem import Seen, Settings, _over_samples, make_problem
+from optimize.report import print_result, summarise
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
 
@@ -41,6 +49,29 @@ def test_risks_of_known_samples():
     assert float(_over_samples(problem(), every).goals[0, 0]) == pytest.approx(2.5)
     broken = every._replace(ok=jnp.asarray([[True, False, True, True]]))
     assert not bool(_over_samples(problem(), broken).ok[0])
+
+
+@pytest.mark.parametrize(
+    ("over", "violation", "told"),
+    [("worst", 0.4, "BROKEN by 0.8"), ("cvar", 0.4, "BROKEN by 0.8"), ("mean", -1.0, ""), ("worst", 0.005, "")],
+)
+def test_a_limit_is_broken_by_what_ranks_the_points(over, violation, told):
+    """Not by the mean of its measure, which stands beside it and may keep the limit where the worst machines do not."""
+    limit = {"measure": "nip_force", "of": "pinch", "at_least": 1.0, "at_most": 5.0, "scale": 2.0}
+    study = problem(limits={"force": limit}, robust={"samples": 8, "over": over})
+    verdict = measures.Verdict("passed", "", 0.01, "")
+    point = Scored(
+        study.start, {"preload": 3.0}, np.array([[4.0]]), np.array([[4.0]]), 0.0, violation, (verdict,),
+        by_limit(study.limits, np.array([[-1.0, violation]])),
+    )  # fmt: skip
+    text = io.StringIO()
+    print_result(Console(file=text, width=140), Result(study, point, point, begin(study), [], "enough"))
+    row = next(line for line in text.getvalue().splitlines() if "<= 5" in line)
+    assert row.strip().endswith(told or "<= 5")
+    words = {"mean": "all are means", "worst": "are those of the worst", "cvar": "the mean of the worst 25 %"}[over]
+    (line,) = (line for line in text.getvalue().splitlines() if "8 machines that scatter" in line)
+    assert words in line
+    assert summarise(Result(study, point, point, begin(study), [], ""))["after"]["keeps_limits"] == (not told)
 
 
 @pytest.mark.slow

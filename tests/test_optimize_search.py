@@ -94,6 +94,15 @@ def test_lbfgs_finds_it_in_a_few_iterations():
 
 
 @pytest.mark.slow
+def test_lbfgs_takes_no_expected_gradient():
+    """Its line search looks at single points: it would compare them with a mean over others."""
+    with pytest.raises(optimize.StudyError) as caught:
+        problem_of(search={"name": "lbfgs", "gradient": "expected"})
+    assert caught.value.problems == [
+        'search.gradient must be "exact" for "lbfgs", whose line search compares single points, but is "expected"'
+    ]
+
+
 def test_a_limit_is_kept_and_is_active():
     """Least force, but no less than 2.5 N: the answer is 2.5 N."""
     result = design(

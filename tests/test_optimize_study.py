@@ -7,6 +7,7 @@ import diffeed
 import optimize
 from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, make_study, read_table, shipped_studies
+from optimize.tolerance.problem import load_tolerance
 
 GOOD = {
     "scene": "film_feeder",
@@ -184,6 +185,50 @@ def test_a_study_is_the_same_from_wherever_it_is_named(tmp_path, monkeypatch):
     diffeed.save_scene(nip(preload=2.0), place / "nip.toml")
     keys.append(make_problem(load_study(name)).key)
     assert keys[0] == keys[1] != keys[2]
+
+
+def test_measured_values_lie_beside_their_study_wherever_it_is_named(tmp_path, monkeypatch):
+    """From Python too, and even where the working folder has a table of that name; the key is that of the values."""
+    path = ["path = 'rollers.pinch.preload'", "kind = 'data'", "file = 'preloads.csv'", "column = 'N'"]
+    scatter = "\n".join(["[tolerances.preload]", *path, ""])
+    wanted = (
+        "[variables.spring]\npath = 'rollers.pinch.spring'\nbounds = [0.1, 1.0]\n"
+        "[objective.force]\nmeasure = 'nip_force'\nof = 'pinch'\n"
+    )
+    for folder, values in (("place", "N\n2.9\n3.1\n"), ("copy", "N\n2.9\n3.1\n"), (".", "N\n4.9\n5.1\n")):
+        place = tmp_path / folder
+        place.mkdir(exist_ok=True)
+        diffeed.save_scene(nip(), place / "nip.toml")
+        (place / "preloads.csv").write_text(values)
+        (place / "design.toml").write_text(f"scene = 'nip.toml'\n{wanted}{scatter}")
+        (place / "tolerance.toml").write_text(f"scene = 'nip.toml'\n{scatter}")
+
+    def made(folder):
+        studies = make_problem(load_study(f"{folder}/design.toml")), load_tolerance(f"{folder}/tolerance.toml")
+        assert all(list(s.inputs[0].column) == [2.9, 3.1] for s in studies)
+        return [s.key for s in studies]
+
+    monkeypatch.chdir(tmp_path)
+    keys = made("place")
+    assert keys == made("copy") == made(tmp_path / "place")
+    monkeypatch.chdir(tmp_path / "place")
+    assert made(".") == keys
+    (tmp_path / "place/preloads.csv").unlink()
+    monkeypatch.chdir(tmp_path)
+    for ready in (
+        lambda: make_problem(load_study("place/design.toml")),
+        lambda: load_tolerance("place/tolerance.toml"),
+    ):
+        with pytest.raises(optimize.StudyError, match=r"tolerances.preload.file: .*place.preloads.csv must be a file"):
+            ready()
+
+
+def test_a_section_that_is_no_table_is_refused_as_such(tmp_path):
+    """Paths are made whole before the study is checked."""
+    for text in ("tolerances = 3", "tolerances = {a = 3}", "tolerances = {a = {file = 3}}"):
+        (tmp_path / "study.toml").write_text(f"variables = {{}}\n{text}\n")
+        with pytest.raises(optimize.StudyError, match=r"tolerances.* must be"):
+            load_study(tmp_path / "study.toml")
 
 
 def test_a_step_that_is_not_given_is_no_bound_of_chosen_steps():

@@ -6,7 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
@@ -16,15 +18,18 @@ from test_optimize_cli import ROOT
 
 import diffeed
 from diffeed import measures
+from diffeed.verdict import Verdict
 from optimize.asked import StudyError
+from optimize.terms import TERMS, Term
 from optimize.tolerance import latitude as latitude_of
+from optimize.tolerance import report
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
 from optimize.tolerance.problem import load_tolerance, make_tolerance, unpacked
-from optimize.tolerance.replay import replay
+from optimize.tolerance.replay import judged, replay
 from optimize.tolerance.report import print_summary, write_result
-from optimize.tolerance.run import Rows
+from optimize.tolerance.run import Rows, chosen
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise, tighten
 
@@ -135,6 +140,28 @@ def test_slopes_are_those_of_differences(rows):
     (seen,) = evaluate(np.arange(4), step)
     assert found.nominal[:, 0] == pytest.approx((seen.values[0] - seen.values[1]) / 2e-3, rel=1e-4, abs=1e-7)
     assert found.nominal[:, 1] == pytest.approx((seen.values[2] - seen.values[3]) / 2e-3, rel=1e-4, abs=1e-7)
+
+
+def test_what_is_to_blame_is_shown_where_there_is_no_slope_at_the_nominal_scene():
+    """Shares that are known stand in the table; a kind of which nothing is known has no column."""
+    none, blame = [None, None], {"std": 1.0, "regression": [0.7, 0.3], "explained": 0.99, "first order std": None}
+    few = {"std": 1.0, "regression": none, "explained": None, "sobol total": [0.6, 0.4]}
+
+    def told(blame):
+        text = io.StringIO()
+        report._print_blame(Console(file=text, width=100), "arrival", blame, ["a", "b"])
+        return text.getvalue()
+
+    found = told(blame | {"first order": none})
+    assert found == told(blame)
+    assert "70 %" in found
+    assert "a straight line explains 99 %" in found
+    found = told(few)
+    assert "60 %" in found
+    assert "Sobol total" in found
+    assert "regression" not in found
+    assert "straight line" not in found
+    assert told(few | {"sobol total": none}) == ""
 
 
 @pytest.mark.slow
@@ -299,6 +326,26 @@ def test_an_earlier_study_is_compared_sample_by_sample(rows, tmp_path):
         read_rows(tmp_path / "made", other, drawn(other))
 
 
+def test_a_study_with_fewer_samples_is_not_compared(tmp_path):
+    """Shares of two numbers of draws would stand side by side; a sample that was written twice counts once."""
+    study = problem(samples=4)
+    deviation = drawn(study)
+    blank = {"status": np.zeros(4, int), "reason": np.zeros(4, int), "time": np.zeros(4)}
+    made = Rows(np.arange(4), deviation, **blank, values=np.zeros((4, 2)), broken=np.zeros((4, 1), bool))
+    folder = Folder(tmp_path / "made", study)
+    folder.start(resume=False, force=False)
+    try:
+        folder.add(chosen(made, np.array([0, 0, 2])))
+        with pytest.raises(
+            FolderError, match=r"samples.csv holds 2 of the 4 samples to compare with; finish that study"
+        ):
+            read_rows(tmp_path / "made", study, deviation)
+        folder.add(chosen(made, np.array([3, 1])))
+        assert same(read_rows(tmp_path / "made", study, deviation), made)
+    finally:
+        folder.close()
+
+
 def test_indices_of_a_group_are_refused_before_anything_is_run():
     rubber = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "sigma": 0.01, "group": "batch"}
     with pytest.raises(ValueError, match="draws groups together: batch"):
@@ -450,6 +497,32 @@ def test_a_latitude_tells_what_passes_and_by_what_margin(monkeypatch):
     run = diffeed.simulate(softer, 0.01, 5e-4, 5, observe=("feed", "spans"))
     assert other.margin[2, 2] == pytest.approx(float(measures.jam_margin(softer, run)), rel=1e-6)
     assert abs(other.margin[2, 2] - found.margin[2, 2]) > 1e-6
+
+
+def test_what_breaks_a_limit_does_not_pass(monkeypatch, tmp_path):
+    """In the map as among the samples; the replay names the limit. Made-up runs: all of them pass their verdict."""
+    of = lambda scene, *_: scene.sheets["strip"].thickness  # noqa: E731
+    monkeypatch.setitem(TERMS, "made_up", Term(of, "", "mm", "made up"))
+    study = make_tolerance(
+        STUDY | {
+            "limits": {"made_up": {"measure": "made_up", "at_most": 0.25}},
+            "latitude": {"x": {"path": "sheets.strip.thickness", "range": [0.1, 0.3], "points": 3},
+                         "y": {"path": "sheets.strip.curl", "range": [-0.01, 0.01], "points": 2}},
+        },
+        scene=nip(),
+    )  # fmt: skip
+    made = SimpleNamespace(ok=jnp.asarray(True))
+    monkeypatch.setattr(latitude_of, "run_of", lambda *_: made)
+    monkeypatch.setattr(measures, "jam_margin", lambda scene, run: jnp.asarray(0.5))
+    monkeypatch.setattr(measures, "outcome", lambda scene, run: SimpleNamespace(status=jnp.asarray(0)))
+    assert latitude(study).passed.tolist() == [[True, True, False]] * 2
+
+    monkeypatch.setattr(measures, "verdict", lambda scene, run: Verdict("passed", "it moved", None, ""))
+    thick = diffeed.put(study.scene, "sheets.strip.thickness", 0.3)
+    assert judged(study, study.scene, made) == "passed: it moved"
+    assert judged(study, thick, made) == "passed: it moved, but breaks its limits: made_up above 0.25 (it is 0.3 mm)"
+    failed = SimpleNamespace(ok=jnp.asarray(False))
+    assert judged(study, thick, failed) == "passed: it moved"
 
 
 def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):

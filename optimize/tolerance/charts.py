@@ -184,7 +184,8 @@ def latitude(
 ) -> "Axes":
     """Media latitude: where in the plane of `x` (nx,) and `y` (ny,) a sheet passes, `passed` (ny, nx).
 
-    Contours of the `margin` (ny, nx); where it is not finite the run failed.
+    Contours of the `margin` (ny, nx) from a jam; where it is not finite the run failed. A sheet may keep away from a jam and
+    not pass: by its limits.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle

@@ -23,7 +23,9 @@ SCENE = click.option("--scene", help="Another scene of the same parts (an improv
 @click.option("--dt", type=click.FloatRange(0, min_open=True), help="Longest step in s, instead of the study's.")
 @SCENE
 @click.option(
-    "--before", type=click.Path(path_type=Path), help="Folder of a finished study of the same draws, to compare with."
+    "--before",
+    type=click.Path(path_type=Path),
+    help="Folder of a finished study of the same draws, as many or more, to compare with.",
 )
 @click.option(
     "--gradients",
@@ -82,6 +84,8 @@ def tolerance(study: str, **options: Any) -> None:
 @click.option("--points", type=click.IntRange(2, 201), help="Along each axis, instead of the study's.")
 def latitude(study: str, scene: str | None, out: Path, force: bool, points: int | None) -> None:
     """Which sheets pass: a map over two quantities of a study, its [latitude.x] and [latitude.y].
+
+    A sheet passes as a sample of `tolerance` does: its run passes, and keeps the study's limits.
 
     \b
     Example:

@@ -96,9 +96,11 @@ def cards_of(media: dict[str, str], scene: diffeed.Scene, problems: list[str]) -
 
 
 def key_of(study: dict[str, Any], inputs: Sequence[Input], scenes: Sequence[diffeed.Scene]) -> str:
-    """Equal for the same values in the same order (that of a point's numbers and of the draws), measured columns and scenes."""
+    """Equal for the same values in the same order (that of a point's numbers and of the draws), measured columns and scenes,
+    wherever their files lie."""
+    placeless = {name: tolerance | {"file": None} for name, tolerance in study["tolerances"].items()}
     columns = [i.column.tolist() for i in inputs if i.column is not None]
-    text = json.dumps([study, columns, [diffeed.scene_text(s) for s in scenes]])
+    text = json.dumps([study | {"tolerances": placeless}, columns, [diffeed.scene_text(s) for s in scenes]])
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -198,8 +198,8 @@ class Folder:
 
 
 def read_rows(place: Path, problem: ToleranceProblem, deviation: np.ndarray) -> Rows:
-    """The rows of an earlier study of the same inputs and measures, to compare with: those of the samples 0 to n that drew
-    the same deviations (n, inputs). Raises FolderError."""
+    """The rows of an earlier study of the same inputs and measures, to compare with: all those of n samples, which drew the
+    same deviations (n, inputs). Raises FolderError."""
     folder = Folder(place, problem)
     if not folder.table.exists():
         raise FolderError(f"{place} holds no study to compare with")
@@ -207,9 +207,14 @@ def read_rows(place: Path, problem: ToleranceProblem, deviation: np.ndarray) -> 
         rows = folder.rows()
     except OSError as error:
         raise FolderError(f"{folder.table} cannot be read: {error.strerror or error}") from error
-    kept = None if rows is None else chosen(rows, rows.sample < len(deviation))
-    if kept is None or not len(kept.sample):
-        raise FolderError(f"{folder.table} holds none of the samples 0 to {len(deviation) - 1}")
+    there, first = np.unique([] if rows is None else rows.sample, return_index=True)
+    first = first[there < len(deviation)]
+    if rows is None or len(first) < len(deviation):
+        raise FolderError(
+            f"{folder.table} holds {len(first)} of the {len(deviation)} samples to compare with; finish that study with "
+            "--resume, or ask for as many with --samples"
+        )
+    kept = chosen(rows, first)
     # A number that was measured is drawn as itself: its deviation is from another nominal value.
     drawn = [k for k, given in enumerate(problem.inputs) if given.column is None]
     if not np.allclose(kept.deviation[:, drawn], deviation[kept.sample][:, drawn], rtol=1e-9, atol=1e-12):

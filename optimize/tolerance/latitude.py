@@ -9,11 +9,11 @@ from jax import Array
 
 import diffeed
 from diffeed import measures
-from optimize.asked import number_at
+from optimize.asked import number_at, values_of
 from optimize.programs import kept
 from optimize.tolerance.problem import ToleranceProblem, at_axes, rest_of
 from optimize.tolerance.records import Axis, Latitude
-from optimize.tolerance.run import bytes_of, run_of
+from optimize.tolerance.run import broken_limits, bytes_of, run_of
 from optimize.tolerance.spread import Spread, chunk_size
 
 
@@ -23,13 +23,15 @@ class Map(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     margin: np.ndarray  # (ny, nx) jam margin; NaN where the run failed
-    passed: np.ndarray  # (ny, nx) bool: the verdict
+    passed: np.ndarray  # (ny, nx) bool: the verdict and all limits
     labels: tuple[str, str]
     nominal: tuple[float, float]
 
 
 def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> Map:
-    """Run the scene of a study (or another of the same parts) over the two axes of its latitude, all by one compiled program."""
+    """Run the scene of a study (or another of the same parts) over the two axes of its latitude, all by one compiled program.
+
+    A sheet passes as a sample of the study does: its run passes, and keeps the study's limits."""
     asked = problem.study.latitude
     if asked is None:
         raise ValueError("the study has no [latitude.x] and [latitude.y]")
@@ -48,14 +50,15 @@ def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> M
 
 
 def _outcome_at(problem: ToleranceProblem, asked: Latitude) -> Callable[[Array, Any], tuple[Array, Array]]:
-    """Margin and verdict of a scene at a point of its latitude."""
+    """Margin of a scene at a point of its latitude, and whether it passes."""
 
     def outcome(point: Array, given: tuple[diffeed.Scene, Any]) -> tuple[Array, Array]:
         scene, rest = given
         moved = at_axes(problem, scene, asked, point)
         run = run_of(problem, moved, rest, ("feed", "spans"))
         margin = jnp.where(run.ok, measures.jam_margin(moved, run), jnp.nan)
-        return margin, measures.outcome(moved, run).status == 0
+        broken = broken_limits(problem.limits, values_of(problem.limits, moved, run))
+        return margin, (measures.outcome(moved, run).status == 0) & ~jnp.any(broken)
 
     return outcome
 

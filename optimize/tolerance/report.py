@@ -58,8 +58,8 @@ def print_summary(console: "Console", summary: dict[str, Any], before: dict[str,
 
 
 def _print_blame(console: "Console", name: str, blame: dict[str, Any], inputs: list[str]) -> None:
-    known = {words: blame[key] for key, words in NAMES.items() if blame.get(key) is not None}
-    if not known or all(v is None for v in next(iter(known.values()))):
+    known = _known(blame)
+    if not known:
         return
     console.print()
     table = plain_table(f"share of the variance of {name}", *known)
@@ -67,15 +67,22 @@ def _print_blame(console: "Console", name: str, blame: dict[str, Any], inputs: l
     for k in np.argsort(-first)[:MOST]:
         table.add_row(inputs[k], *(_percent(v[k]) for v in known.values()))
     console.print(table)
-    console.print(
-        f"a straight line explains {_percent(blame['explained'])} of the variance (std {_text(blame['std'])})"
-    )
+    if blame["explained"] is not None:
+        console.print(
+            f"a straight line explains {_percent(blame['explained'])} of the variance (std {_text(blame['std'])})"
+        )
     if blame.get("first order std") is not None and blame["std"]:
         ratio = blame["first order std"] / blame["std"]
         verdict = "they agree" if 0.8 < ratio < 1.25 else "they part: do not trust the slopes at the nominal scene here"
         console.print(
             f"std from gradients at the nominal scene: {_text(blame['first order std'])}, {ratio:.2f} of it: {verdict}"
         )
+
+
+def _known(blame: dict[str, Any]) -> dict[str, list[float | None]]:
+    """Shares of the variance by the words for their kind, of the kinds that know any."""
+    given = {words: blame.get(key) or [] for key, words in NAMES.items()}
+    return {words: shares for words, shares in given.items() if any(v is not None for v in shares)}
 
 
 def _print_tighten(console: "Console", found: dict[str, Any]) -> None:
@@ -126,11 +133,7 @@ def _pictures(
         made[histogram] = lambda v=values, t=label, e=limits, w=was: charts.histogram(v, t, e, before=w)
         made[distribution] = lambda v=values, t=label, e=limits, w=was: charts.distribution(v, t, e, before=w)
         blame = summary["contributions"][asked.name]
-        shares = {
-            words: np.array([np.nan if v is None else v for v in blame[key]])
-            for key, words in NAMES.items()
-            if blame.get(key) is not None and any(v is not None for v in blame[key])
-        }
+        shares = {words: np.array([np.nan if v is None else v for v in of]) for words, of in _known(blame).items()}
         if shares and len(values) > 1:
             made[contributions] = lambda s=shares: charts.contributions(inputs, s)
     tighter = {n: v for n, v in summary["tighten"].items() if v["gain"] is not None and v["error"] is not None}

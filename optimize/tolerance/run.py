@@ -10,7 +10,7 @@ from jax import Array
 
 import diffeed
 from diffeed import measures
-from optimize.asked import values_of, violations
+from optimize.asked import Asked, values_of, violations
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
 from optimize.tolerance.spread import Spread, chunk_size
@@ -51,15 +51,19 @@ def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[Array, 
     run = run_of(problem, scene, rest)
     found = measures.outcome(scene, run)
     values = values_of(problem.asked, scene, run)
-    limits = zip(problem.limits, values[len(problem.measures) :], strict=True)
-    broken = [jnp.any(~(violations((asked,), value[None]) <= 0.0)) for asked, value in limits]
     return (
         found.status,
         found.reason,
         found.time,
         jnp.where(run.ok, values, jnp.nan),
-        jnp.stack(broken) if broken else jnp.zeros((0,), bool),
+        broken_limits(problem.limits, values[len(problem.measures) :]),
     )
+
+
+def broken_limits(limits: tuple[Asked, ...], values: Array) -> Array:
+    """(limits,) which of them are broken by their values; one without a value is."""
+    broken = [jnp.any(~(violations((asked,), value[None]) <= 0.0)) for asked, value in zip(limits, values, strict=True)]
+    return jnp.stack(broken) if broken else jnp.zeros((0,), bool)
 
 
 class Evaluator:

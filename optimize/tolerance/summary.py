@@ -61,7 +61,7 @@ def fails(problem: ToleranceProblem, rows: Rows) -> dict[str, Any]:
         if name != "late" or problem.scene.goal:
             ways[{"failed": "simulation failed"}.get(name, name)] = hit
     for k, asked in enumerate(problem.limits):
-        ways[f"{asked.name} {_limit_words(asked)}"] = rows.broken[:, k] & ran
+        ways[f"{asked.name} {limit_words(asked)}"] = rows.broken[:, k] & ran
     found = {}
     for name, hit in ways.items():
         share = proportion(int(hit.sum()), len(hit))
@@ -69,7 +69,8 @@ def fails(problem: ToleranceProblem, rows: Rows) -> dict[str, Any]:
     return found
 
 
-def _limit_words(asked: Asked) -> str:
+def limit_words(asked: Asked) -> str:
+    """Where a measure breaks its limit."""
     spec, words = asked.spec, []
     if spec.at_least is not None:
         words.append(f"below {spec.at_least:g}")
