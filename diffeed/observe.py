@@ -286,7 +286,8 @@ def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> 
     """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
     force, kg mm/s2."""
     if touching.sheets is None or model.rollers.n == 0:
-        return (jnp.zeros((len(model.layout.names),)),) * 2
+        nothing = jnp.zeros((len(model.layout.names),))
+        return nothing, nothing
     n, pairs = model.rollers.n, touching.sheets
     c, s = heading(model, at, pairs)
     along = (pairs.nx * s - pairs.ny * c)[:n]

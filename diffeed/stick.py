@@ -23,7 +23,11 @@ from diffeed.system import Solution
 def fitted(model: Model, state: State) -> State:
     """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
     wanted = initial_grip(model)
-    if jnp.shape(state.grip) == jnp.shape(wanted) if None not in (state.grip, wanted) else state.grip is wanted:
+    if wanted is None or state.grip is None:
+        fits = wanted is state.grip
+    else:
+        fits = wanted.shape == state.grip.shape
+    if fits:
         return state
     return replace(state, grip=wanted)
 

@@ -9,7 +9,7 @@ from jax import Array
 
 from diffeed.frames import Motion, approach, motion
 from diffeed.margin import FOLDED
-from diffeed.model import build, is_driven
+from diffeed.model import build
 from diffeed.packing import jit_of_scene, stacked
 from diffeed.parts import LineGuide, Scene, normalise
 from diffeed.trajectory import Trajectory

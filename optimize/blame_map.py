@@ -69,7 +69,7 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
     def of(copies: diffeed.Scene) -> Array:
         begun = at_start(jax.tree.map(lambda v: v[0], copies), problem.observe)
 
-        def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, None]:
+        def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, diffeed.Trajectory]:
             run = diffeed.simulate(copy, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
             return run.final, run
 

@@ -201,7 +201,7 @@ BATCH = {"group": "batch", "correlation": 0.8}
 SPRING = {"path": "rollers.pinch.spring", "sigma": 0.01} | BATCH
 
 
-def judged(passing, samples=20_000, **tolerances):
+def tightened(passing, samples=20_000, **tolerances):
     """What `tighten` finds where a sample passes by its deviations alone, (samples, inputs)."""
     study = problem(nip(), tolerances=tolerances, samples=samples)
     off, nothing = drawn(study), np.zeros(samples)
@@ -221,7 +221,7 @@ def judged(passing, samples=20_000, **tolerances):
 def test_what_only_goes_with_the_cause_brings_nothing(other):
     """Samples pass by their preload alone, whose group the spring is of: a tighter spring lets no more of them pass."""
     preload = {"path": "rollers.pinch.preload"} | BATCH | other
-    found = judged(lambda off: np.abs(off[:, 1]) < 0.3, spring=SPRING, preload=preload)["spring"]
+    found = tightened(lambda off: np.abs(off[:, 1]) < 0.3, spring=SPRING, preload=preload)["spring"]
     assert abs(found["gain"]) < 3.0 * found["error"] < 0.01
 
 
@@ -232,7 +232,7 @@ def test_the_gain_in_a_group_of_two_kinds_is_that_of_tighter_parts():
     def passing(off, by=1.0):
         return np.abs(off[:, 1] / 0.5 + by * off[:, 0] / 0.01) < 1.5
 
-    found = judged(passing, 100_000, spring=SPRING, preload=preload)
+    found = tightened(passing, 100_000, spring=SPRING, preload=preload)
     off = drawn(problem(nip(), tolerances={"spring": SPRING, "preload": preload}, samples=100_000))
     slope = (passing(off, 1.05).mean() - passing(off, 0.95).mean()) / 0.1
     assert found["spring"]["gain"] == pytest.approx(-0.1 * slope, abs=4.0 * found["spring"]["error"])
@@ -246,9 +246,11 @@ def test_one_of_inputs_that_are_one_has_no_estimate():
         {"path": f"rollers.{part}.friction", "sigma": 0.05, "group": "g", "correlation": 1.0}
         for part in ("drive", "pinch")
     )
-    found = judged(lambda off: np.abs(off[:, 0]) < 0.05, 2000, one=one, other=other)
+    found = tightened(lambda off: np.abs(off[:, 0]) < 0.05, 2000, one=one, other=other)
     assert np.isnan([found["one"]["gain"], found["other"]["gain"]]).all()
-    both = judged(lambda off: np.abs(off[:, 0]) < 0.05, 2000, both=one | {"path": [one["path"], other["path"]]})["both"]
+    both = tightened(lambda off: np.abs(off[:, 0]) < 0.05, 2000, both=one | {"path": [one["path"], other["path"]]})[
+        "both"
+    ]
     assert both["gain"] > 3.0 * both["error"]
 
 
