@@ -23,11 +23,8 @@ from diffeed.system import Solution
 def fitted(model: Model, state: State) -> State:
     """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
     wanted = initial_grip(model)
-    if wanted is None or state.grip is None:
-        fits = wanted is state.grip
-    else:
-        fits = wanted.shape == state.grip.shape
-    if fits:
+    neither = wanted is None and state.grip is None
+    if neither or (wanted is not None and state.grip is not None and wanted.shape == state.grip.shape):
         return state
     return replace(state, grip=wanted)
 
