@@ -90,11 +90,11 @@ class Journal:
             refuse_overwriting(self.folder, tuple(name for name in FILES if os.path.lexists(self.folder / name)))
         if resume and state.exists():
             progress = self._read(state)
-            if progress.reason and (self.folder / SUMMARY).exists():
-                progress.reason = ""  # its result is written: more is wanted
-            elif progress.reason:  # it had ended, but for its result: it goes on only if the budgets have grown
+            if progress.reason:
+                if (self.folder / SUMMARY).exists():  # its result is written: more is wanted, so patience counts anew
+                    progress.since = progress.iteration
                 progress.reason = ""
-                stop(self.problem, progress)
+                stop(self.problem, progress)  # beyond its budgets only if they have grown
             lines = history.read_text("utf-8").splitlines()[: progress.iteration] if history.exists() else []
         else:
             progress, lines = begin(self.problem), []
