@@ -68,7 +68,7 @@ def test_machine_draws_the_chosen_frames():
 
 def test_machine_draws_sensors_and_clamps():
     gate = Sensor(position=(50.0, 0.0), direction=(1.0, 0.0))
-    clamps = {"hold": Clamp(sheet="film"), "wall": Clamp(sheet="film", at=3, kind="wall")}
+    clamps = {"hold": Clamp(sheet="film"), "wall": Clamp(sheet="film", at="tail", kind="wall")}
     ax = plot.machine(normalise(dataclasses.replace(SCENE, sensors={"gate": gate}, clamps=clamps)), RUN)
     assert {"gate", "hold", "wall"} <= {text.get_text() for text in ax.texts}
 

@@ -94,7 +94,7 @@ def full_scene(x: float = 0.1, y: float = 1.0 / 3.0) -> Scene:
         stiffness=x, exponent=y, damping=x, damping_exponent=y, smoothing=x, stick_speed=y, static_ratio=x,
         transition_speed=y, stick_displacement=x, friction_law="tanh", damped=False,
     )  # fmt: skip
-    clamp = Clamp(sheet="film", at=1, kind="wall", free="x", displacement=(x, y), rotation=x, motion=motion)
+    clamp = Clamp(sheet="film", at="lead", kind="wall", free="x", displacement=(x, y), rotation=x, motion=motion)
     return Scene(
         sheets={"film": film},
         rollers={"fixed": fixed, "movable": movable, "other": replace(fixed, angular_speed=-y)},

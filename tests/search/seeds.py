@@ -64,7 +64,7 @@ damped = false
 
 [clamps.hold]
 sheet = "film"
-at = 1
+at = "lead"
 kind = "wall"
 
 [loads.tip]
