@@ -15,13 +15,19 @@ from diffeed.snapshot import look
 from diffeed.state import State, mean_per_sheet
 
 
+class Feeding(NamedTuple):
+    """How sheets are fed, (frames, sheets)."""
+
+    speed: Array  # mm/s, of each along itself
+    wanted: Array  # mm/s, what the driven rollers that touch it command
+    held: Array  # bool: some driven roller touches it
+
+
 class Motion(NamedTuple):
     """What energies and the verdict read off frames, (frames, ...)."""
 
     stored: Energies
-    speed: Array  # (sheets,) mm/s: each sheet along itself
-    wanted: Array  # (sheets,) mm/s: what its driven rollers command
-    held: Array  # (sheets,) bool: some driven roller touches it
+    fed: Feeding
 
 
 @jit_of_scene
@@ -33,7 +39,7 @@ def motion(scene: Scene, states: State) -> Motion:
         at, world, touching = look(model, state)
         speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
         wanted, press = commanded_speed(model, at, touching, world.spin)
-        return Motion(energies(model, state, at, touching), speed, wanted, press > 0)
+        return Motion(energies(model, state, at, touching), Feeding(speed, wanted, press > 0))
 
     return jax.lax.map(at_frame, states)
 

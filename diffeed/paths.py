@@ -176,12 +176,15 @@ def _get_item(value: Any, index: tuple[int, ...], ndim: int, path: str) -> Any:
 
 
 def _put_item(old: Any, index: tuple[int, ...], ndim: int, value: Any, path: str) -> Any:
-    if measure(value) is None:
+    given = measure(value)
+    if given is None:
         raise PathError(f'"{path}" must be a number, but is {show(value)}')
     if isinstance(old, (jax.Array, np.ndarray)):
         slot = _slot(old, index, ndim, path)
-        if np.broadcast_shapes(np.shape(value), np.shape(old[slot])) != np.shape(old[slot]):
-            raise PathError(f'"{path}" must be one number, but is {show(value)}')
+        room = np.broadcast_to(0.0, old.shape)[slot].shape
+        if given.shape not in ((), room):
+            wanted = f"{' x '.join(map(str, room))} numbers" if room else "one number"
+            raise PathError(f'"{path}" must be {wanted}, but is {show(value)}')
         return jnp.asarray(old).at[slot].set(value)
     entries = _entries(old, index[0], path)
     new = _put_item(entries[index[0]], index[1:], ndim - 1, value, path) if index[1:] else value

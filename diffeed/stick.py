@@ -6,6 +6,7 @@ join hand it on). All stand in one row, over the stick displacement of the set: 
 where some set of the kind sticks. A scene in which none does has no row (None) and the program that it had before.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -23,10 +24,8 @@ from diffeed.system import Solution
 def fitted(model: Model, state: State) -> State:
     """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
     wanted = initial_grip(model)
-    neither = wanted is None and state.grip is None
-    if neither or (wanted is not None and state.grip is not None and wanted.shape == state.grip.shape):
-        return state
-    return replace(state, grip=wanted)
+    fits = jax.tree.map(jnp.shape, state.grip) == jax.tree.map(jnp.shape, wanted)
+    return state if fits else replace(state, grip=wanted)
 
 
 def of_pairs(

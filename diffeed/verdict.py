@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.frames import Motion, approach, motion
+from diffeed.frames import Feeding, approach, motion
 from diffeed.margin import FOLDED
 from diffeed.model import build
 from diffeed.packing import jit_of_scene, stacked
@@ -56,7 +56,7 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
         failure = trajectory.failure
         return Verdict("failed", failure.describe(), float(failure.time), "")
     scene = normalise(scene)
-    found = jax.device_get(_outcome(scene, trajectory, motion(scene, trajectory.states)))
+    found = jax.device_get(_outcome(scene, trajectory, motion(scene, trajectory.states).fed))
     name, reason = sorted(scene.sheets)[int(found.sheet)], int(found.reason)
     text = {
         REACHED: f"the tail of {name} passed {scene.goal}",
@@ -76,14 +76,13 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
 def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
     """The same judgement as numbers, inside a trace too."""
     scene = normalise(scene)
-    return _outcome(scene, trajectory, motion(scene, trajectory.states))
+    return _outcome(scene, trajectory, motion(scene, trajectory.states).fed)
 
 
 @jit_of_scene
-def _outcome(scene: Scene, trajectory: Trajectory, seen: Motion) -> Outcome:
+def _outcome(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
     names = sorted(scene.sheets)
-    fed = [Feeding(seen.speed[:, k], seen.wanted[:, k], seen.held[:, k]) for k in range(len(names))]
-    each = [_judge(scene, trajectory, name, fed[k], k) for k, name in enumerate(names)]
+    each = [_judge(scene, trajectory, n, Feeding(*(v[:, k] for v in fed)), k) for k, n in enumerate(names)]
     both: Outcome = jax.tree.map(lambda *v: jnp.stack(v), *each)
     worst = jnp.argmax(both.status)
     found: Outcome = jax.tree.map(lambda v: v[worst], both)
@@ -97,14 +96,6 @@ def _outcome(scene: Scene, trajectory: Trajectory, seen: Motion) -> Outcome:
     )
 
 
-class Feeding(NamedTuple):
-    """How a sheet is fed; (frames,)."""
-
-    speed: Array  # mm/s, along itself
-    wanted: Array  # mm/s, what the driven rollers that touch it command
-    held: Array  # bool: some driven roller touches it
-
-
 def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:
     track, time = trajectory.sheets[name], trajectory.time
     last = time.shape[0] - 1
@@ -112,14 +103,14 @@ def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int
     folds, strays = _first(_is_folded(track.headings)), _first(_has_strayed(scene, track.nodes))
     fastest = _fastest_drive(scene)
     stalls = last + 1 if fastest is None else _stalled_since(fed, fastest)
-    held = jnp.max(jnp.where(jnp.arange(last + 1) >= stalls, jnp.abs(fed.wanted), 0.0)) > 0
+    driven = jnp.max(jnp.where(jnp.arange(last + 1) >= stalls, jnp.abs(fed.wanted), 0.0)) > 0
     rests = fed.held[-1] & (jnp.abs(fed.speed[-1]) < STALLED * jnp.max(jnp.abs(fed.wanted)))
     end = LATE if scene.goal else jnp.where(rests, RESTS, FREE)
     tests = [
         (jnp.isfinite(done), REACHED, last),
         (folds <= last, FOLDS, folds),
         (strays <= last, STRAYS, strays),
-        (stalls <= last, jnp.where(held, STALLS, LET_GO), stalls),
+        (stalls <= last, jnp.where(driven, STALLS, LET_GO), stalls),
     ]
     reason, frame = jnp.asarray(end), jnp.asarray(last)
     for is_so, why, when in reversed(tests):

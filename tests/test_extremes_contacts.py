@@ -151,11 +151,11 @@ def test_an_explicit_run_on_glue_that_nobody_checked_fails(mu):
 @EACH
 @pytest.mark.parametrize("name", ["lifted", "touching, 0.5", "touching, 0"])
 def test_an_open_nip_does_nothing(name, method):
-    """Half a millimetre off, or just touching to the last digits: powers 1.5, 0.5 and 0 of nothing, without a rounded ramp."""
+    """Half a millimetre off, or touching but for a hair: powers 1.5, 0.5 and 0 of nothing, without a rounded ramp."""
     run = ex.contacts(method)[name]
     assert run.ok, run.why
     gap = run.rollers["upper"].gap
-    np.testing.assert_allclose(gap, np.full(gap.shape, 0.5 if name == "lifted" else 0.0), atol=1e-14)
+    np.testing.assert_allclose(gap, np.full(gap.shape, 0.5 if name == "lifted" else ex.HAIR), atol=1e-14)
     assert (run.rollers["upper"].force == 0.0).all()
     assert (run.sheet.push == 0.0).all()
     assert (run.sheet.nodes == run.sheet.nodes[0]).all()

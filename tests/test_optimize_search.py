@@ -93,7 +93,6 @@ def test_lbfgs_finds_it_in_a_few_iterations():
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=1e-3)
 
 
-@pytest.mark.slow
 def test_lbfgs_takes_no_expected_gradient():
     """Its line search looks at single points: it would compare them with a mean over others."""
     with pytest.raises(optimize.StudyError) as caught:
@@ -103,6 +102,7 @@ def test_lbfgs_takes_no_expected_gradient():
     ]
 
 
+@pytest.mark.slow
 def test_a_limit_is_kept_and_is_active():
     """Least force, but no less than 2.5 N: the answer is 2.5 N."""
     result = design(

@@ -230,6 +230,8 @@ def wall(x: float) -> tuple[tuple[float, float], tuple[float, float]]:
 HARD = {"stiffness": 200.0, "exponent": 1.5, "damping": 0.0}
 STEADY = {"stiffness": 200.0, "exponent": 1.0, "damping_exponent": 0.0}
 """Damped from the first touch on (Kelvin-Voigt), so that a sheet comes to rest within a run."""
+HAIR = 1e-12
+"""mm: touching, but for more than rounding, which would decide on which side of a first touch it is."""
 BARE = {"stiffness": 200.0, "exponent": 1.5, "damping": 1.0, "smoothing": 0.0}
 GLUE = (5.0, 50.0, 1000.0)
 BITE, SPEED, PULL = 0.02, 100.0, 0.05
@@ -270,8 +272,8 @@ def contact_rows() -> dict[str, Row]:
         **{f"friction {mu:g}": Row(nip(friction=mu, pull=PULL), 1e-4, 1e-5) for mu in GLUE},
         "friction 5 resolved": Row(nip(friction=5.0, pull=PULL), 5e-9),
         "lifted": Row(machine(bite=-0.5, speed=SPEED, contact=BARE | {"damping_exponent": 0.5}), 1e-4),
-        "touching, 0.5": Row(machine(bite=0.0, speed=SPEED, contact=BARE | {"damping_exponent": 0.5}), 1e-4),
-        "touching, 0": Row(machine(bite=0.0, speed=SPEED, contact=BARE | {"damping_exponent": 0.0}), 1e-4),
+        "touching, 0.5": Row(machine(bite=-HAIR, speed=SPEED, contact=BARE | {"damping_exponent": 0.5}), 1e-4),
+        "touching, 0": Row(machine(bite=-HAIR, speed=SPEED, contact=BARE | {"damping_exponent": 0.0}), 1e-4),
         "dropped": Row(dropped, 2e-6),
         "deep": Row(deep, 1e-4),
         "deep resolved": Row(deep, 1e-7),
