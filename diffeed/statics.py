@@ -359,8 +359,9 @@ def _relax(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float
         jacobian, gap = jax.jacfwd(lambda r: (imbalance(r),) * 2, has_aux=True)(trial)
         foreseen = Rest((1.0 - share) * at.gap.q + share * inertia / at.span2 * step.q, (1.0 - share) * at.gap.reaction)
         slope = _dense(jacobian)
-        # Round-off of stiff springs on light bars must neither hold steps back nor refuse any. (A few roundings each: 8.)
-        noise = 8.0 * eps * size(_rest(jnp.abs(slope) @ jnp.abs(jnp.concatenate(trial)), trial))
+        # Round-off of stiff springs on light bars must neither hold steps back nor refuse any. (A few roundings each: 8. What
+        # lies at 0 is rounded as well, as radii and centres are that place it: 1 mm.)
+        noise = 8.0 * eps * size(_rest(jnp.abs(slope) @ (1.0 + jnp.abs(jnp.concatenate(trial))), trial))
         left = jnp.maximum(size(gap), noise)
         # A step too short to count, that was not held back, surprises nobody: light bars flicker at a friction that lets go.
         close = jnp.max(jnp.abs(step.q)) < small * (1.0 + jnp.max(jnp.abs(trial.q)))
