@@ -11,7 +11,7 @@ import numpy as np
 from diffeed.causes import SHORTER
 from diffeed.parts import Scene
 from diffeed.trajectory import Trajectory
-from diffeed.verdict import verdict
+from diffeed.verdict import decided_at, verdict
 
 FINER = 4
 """Times shorter are the steps, or smaller the tolerance, of the run to compare with."""
@@ -23,32 +23,32 @@ larger."""
 class Confirmation(NamedTuple):
     """How far two runs of a scene are apart."""
 
-    apart: float  # mm, of any node at any frame of both
+    apart: float  # mm, of any node at any frame of both until its sheet's fate is decided
     sheet: str
     time: float  # s, when
     way: float  # mm: the longest that a node of the finer run made
     before: str  # status of the run: passed, late, jammed, failed
     after: str  # and of the finer one
+    until: float  # s, up to which the runs were compared: when the fate of the last sheet was decided, or the end
     holds: bool  # they have one status, and are no further apart than TOLD and SHARE allow
 
     def sentence(self) -> str:
         """What it came to, in words."""
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s)"
+        up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
-            return (
-                f"Confirmed by a run {FINER} times as fine: the sheet is at most {where}, and the verdict is the same."
-            )
-        other = "the verdict is the same" if self.after == self.before else f"the verdict is {self.after}"
-        return (
-            f"Not confirmed: in a run {FINER} times as fine the sheet is up to {where} of {self.way:.3g} mm moved, and "
-            f"{other}. Believe neither run: {SHORTER}."
-        )
+            return f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
+        away = f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where} of {self.way:.3g} mm moved, and the "
+        if self.after == self.before:
+            return f"{away}verdict is the same. Believe no more than the verdict: {SHORTER}."
+        return f"{away}verdict is {self.after}. Believe neither run: {SHORTER}."
 
 
 def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
     """Compare a run with one of the same scene, duration and frames with steps `FINER` times shorter (or such a tolerance).
 
-    A run that failed is compared up to there, and not confirmed. Raises ValueError where the frames are not the same.
+    What a sheet does after it has passed the goal or jammed in both is not compared. A run that failed is compared up to
+    there, and not confirmed. Raises ValueError where the frames are not the same.
     """
     count = min(len(run.time), len(finer.time))
     times = np.asarray(run.time)[:count]
@@ -56,16 +56,18 @@ def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
     if run.ok and finer.ok and not (alike and len(run.time) == len(finer.time)):
         ends = (f"{len(r.time)} until {float(r.time[-1]):g} s" for r in (run, finer))
         raise ValueError(f"the runs must have the same frames, but have {' and '.join(ends)}")
-    apart, way, sheet, frame = 0.0, 0.0, min(run.sheets), 0
+    before, after = (verdict(scene, r).status for r in (run, finer))
+    decided = [decided_at(scene, r) for r in (run, finer)] if before == after != "failed" else []
+    apart, way, sheet, frame, until = 0.0, 0.0, min(run.sheets), 0, 0
     for name, track in run.sheets.items():
-        mine, other = (np.asarray(t.nodes)[:count] for t in (track, finer.sheets[name]))
+        fate = max((each[name] for each in decided), default=np.inf)
+        last = min(int(np.searchsorted(times, fate)) + 1, count)  # the first frame after it as well
+        mine, other = (np.asarray(t.nodes)[:last] for t in (track, finer.sheets[name]))
         gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)
         steps = np.linalg.norm(np.diff(other, axis=0), axis=-1)
-        way = max(way, float(steps.sum(axis=0).max(initial=0.0)))
+        way, until = max(way, float(steps.sum(axis=0).max(initial=0.0))), max(until, last - 1)
         if not gaps.max() <= apart:  # what is not a number is further than any
             apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
-    before, after = (verdict(scene, r).status for r in (run, finer))
     near = apart <= max(TOLD * float(run.error), SHARE * way)
-    return Confirmation(
-        apart, sheet, float(times[frame]), way, before, after, bool(near and before == after != "failed")
-    )
+    holds = bool(near and before == after != "failed")
+    return Confirmation(apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds)

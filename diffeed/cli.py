@@ -91,7 +91,7 @@ Examples:
   diffeed run film_feeder --out first
   diffeed run film_feeder --set rollers.drive_1.radius=10.2 --out second --before first
   diffeed run my_machine.toml --duration 0.5 --dt 5e-5 --out fine --force
-  diffeed run my_machine.toml --tolerance 0.01 --confirm
+  diffeed run my_machine.toml --tolerance 0.01 --once
 \b
 Exit status: 0 the run was computed (passed, late or jammed: see the first line),
 1 the computation failed or was not confirmed, 2 nothing was run or the files could not be written,
@@ -122,9 +122,10 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 @click.option("--force", is_flag=True, help="Replace the results that FOLDER holds.")
 @click.option("--float32", is_flag=True, help="Compute in single precision: good to about three digits.")
 @click.option(
-    "--confirm",
-    is_flag=True,
-    help="Run again with steps 4 times shorter, or such a tolerance, and say whether the runs agree.",
+    "--confirm/--once",
+    default=True,
+    show_default="confirm",
+    help="Run again with steps 4 times shorter, or such a tolerance, and say whether the runs agree; or do not.",
 )
 def run(**arguments: Any) -> None:
     """Run SCENE, a shipped scene's name (see `diffeed scenes`) or a TOML file, and report how the sheet ran."""
@@ -230,7 +231,7 @@ def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
 
     steps = ask.finer(ask.dt or STEP).dt if ask.tolerance is None else None
     if problem := run_problem(scene.duration, steps, ask.frames, scene_size(scene)):
-        raise Refusal(f"--confirm takes shorter steps: {problem}")
+        raise Refusal(f"the run that confirms this one takes shorter steps: {problem}; --once leaves it out")
 
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
@@ -294,7 +295,7 @@ def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: P
 
     if progress.stopped:
         return None
-    say(f"{ask.scene}: once more, with shorter steps")
+    say(f"{ask.scene}: once more, with shorter steps (--once leaves that out)")
     try:
         again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
     except KeyboardInterrupt:
@@ -305,7 +306,7 @@ def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: P
         say("not confirmed: stopped by Ctrl-C")
         return None
     found = confirm(scene, trajectory, cut_at_failure(join(again.pieces)))
-    click.echo(found.sentence())
+    console().print(found.sentence())
     return found
 
 

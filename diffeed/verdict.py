@@ -79,11 +79,30 @@ def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
     return _outcome(scene, trajectory, motion(scene, trajectory.states).fed)
 
 
-@jit_of_scene
-def _outcome(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
+def decided_at(scene: Scene, trajectory: Trajectory) -> dict[str, float]:
+    """When each sheet's fate was decided, s: it passed the goal, folded, left the path or stalled; infinite for one that was
+    still on its way at the end."""
+    scene = normalise(scene)
+    each = jax.device_get(_fates(scene, trajectory, motion(scene, trajectory.states).fed))
+    late = each.status == STATUSES.index("late")
+    return dict(zip(sorted(scene.sheets), np.where(late, np.inf, each.time).tolist(), strict=True))
+
+
+def _of_each(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
+    """(sheets,) what became of each."""
     names = sorted(scene.sheets)
     each = [_judge(scene, trajectory, n, Feeding(*(v[:, k] for v in fed)), k) for k, n in enumerate(names)]
-    both: Outcome = jax.tree.map(lambda *v: jnp.stack(v), *each)
+    return jax.tree.map(lambda *v: jnp.stack(v), *each)
+
+
+@jit_of_scene
+def _fates(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
+    return _of_each(scene, trajectory, fed)
+
+
+@jit_of_scene
+def _outcome(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
+    both = _of_each(scene, trajectory, fed)
     worst = jnp.argmax(both.status)
     found: Outcome = jax.tree.map(lambda v: v[worst], both)
     broke = ~trajectory.ok
