@@ -38,7 +38,9 @@ class Confirmation(NamedTuple):
         up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
             return f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
-        away = f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where} of {self.way:.3g} mm moved, and the "
+        away = (
+            f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where} of {self.way:.3g} mm moved, and the "
+        )
         if self.after == self.before:
             return f"{away}verdict is the same. Believe no more than the verdict: {SHORTER}."
         return f"{away}verdict is {self.after}. Believe neither run: {SHORTER}."

@@ -124,7 +124,7 @@ Exit status: 0 the run was computed (passed, late or jammed: see the first line)
 @click.option(
     "--confirm/--once",
     default=True,
-    show_default="confirm",
+    show_default=True,
     help="Run again with steps 4 times shorter, or such a tolerance, and say whether the runs agree; or do not.",
 )
 def run(**arguments: Any) -> None:

@@ -16,7 +16,6 @@ from tests.search import valid
 from tests.test_cli import MINI
 from tests.test_search import LOST_REBOUNDS
 
-
 FRAMED = ("time", "sheets", "rollers", "guides", "states")
 
 
