@@ -11,7 +11,7 @@ import numpy as np
 from diffeed.causes import SHORTER
 from diffeed.parts import Scene
 from diffeed.trajectory import Trajectory
-from diffeed.verdict import decided_at, verdict
+from diffeed.verdict import judged
 
 FINER = 4
 """Times shorter are the steps, or smaller the tolerance, of the run to compare with."""
@@ -58,11 +58,11 @@ def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
     if run.ok and finer.ok and not (alike and len(run.time) == len(finer.time)):
         ends = (f"{len(r.time)} until {float(r.time[-1]):g} s" for r in (run, finer))
         raise ValueError(f"the runs must have the same frames, but have {' and '.join(ends)}")
-    before, after = (verdict(scene, r).status for r in (run, finer))
-    decided = [decided_at(scene, r) for r in (run, finer)] if before == after != "failed" else []
+    (first, fates), (second, finer_fates) = (judged(scene, r) for r in (run, finer))
+    before, after = first.status, second.status
     apart, way, sheet, frame, until = 0.0, 0.0, min(run.sheets), 0, 0
     for name, track in run.sheets.items():
-        fate = max((each[name] for each in decided), default=np.inf)
+        fate = max(fates[name], finer_fates[name]) if before == after else np.inf
         last = min(int(np.searchsorted(times, fate)) + 1, count)  # the first frame after it as well
         mine, other = (np.asarray(t.nodes)[:last] for t in (track, finer.sheets[name]))
         gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)

@@ -52,11 +52,53 @@ class Verdict(NamedTuple):
 
 def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
     """Judge a finished run, the worst sheet first. A scene's `goal` names the sensor that each tail must pass."""
+    return judged(scene, trajectory)[0]
+
+
+def judged(scene: Scene, trajectory: Trajectory) -> tuple[Verdict, dict[str, float]]:
+    """The verdict, and when each sheet's fate was decided, s: it passed the goal, folded, left the path or stalled. Infinite
+    for one that was still on its way at the end, and for all in a run that failed."""
+    scene = normalise(scene)
+    names = sorted(scene.sheets)
     if not bool(trajectory.ok):
         failure = trajectory.failure
-        return Verdict("failed", failure.describe(), float(failure.time), "")
+        return Verdict("failed", failure.describe(), float(failure.time), ""), dict.fromkeys(names, np.inf)
+    each = _fates(scene, trajectory)
+    late = np.asarray(each.status) == STATUSES.index("late")
+    decided = dict(zip(names, np.where(late, np.inf, each.time).tolist(), strict=True))
+    return _in_words(scene, trajectory, jax.device_get(_worst(each, trajectory.ok, trajectory.failure.time))), decided
+
+
+def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
+    """The same judgement as numbers, inside a trace too."""
+    return _worst(_fates(scene, trajectory), trajectory.ok, trajectory.failure.time)
+
+
+def _fates(scene: Scene, trajectory: Trajectory) -> Outcome:
+    """(sheets,) what became of each, as if the run had not failed."""
     scene = normalise(scene)
-    found = jax.device_get(_outcome(scene, trajectory, motion(scene, trajectory.states).fed))
+    return _judge_each(scene, trajectory, motion(scene, trajectory.states).fed)
+
+
+@jit_of_scene
+def _judge_each(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
+    names = sorted(scene.sheets)
+    each = [_judge(scene, trajectory, n, Feeding(*(v[:, k] for v in fed)), k) for k, n in enumerate(names)]
+    return jax.tree.map(lambda *v: jnp.stack(v), *each)
+
+
+def _worst(each: Outcome, ok: Array, failed_at: Array) -> Outcome:
+    """Of all sheets; a run that failed is worse than anything that became of them."""
+    worst = jnp.argmax(each.status)
+    found: Outcome = jax.tree.map(lambda v: v[worst], each)
+    return found._replace(
+        status=jnp.where(ok, found.status, _STATUS_OF[BROKE]),
+        reason=jnp.where(ok, found.reason, BROKE),
+        time=jnp.where(ok, found.time, failed_at),
+    )
+
+
+def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
     name, reason = sorted(scene.sheets)[int(found.sheet)], int(found.reason)
     text = {
         REACHED: f"the tail of {name} passed {scene.goal}",
@@ -71,48 +113,6 @@ def verdict(scene: Scene, trajectory: Trajectory) -> Verdict:
     status = STATUSES[int(found.status)]
     place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
     return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
-
-
-def outcome(scene: Scene, trajectory: Trajectory) -> Outcome:
-    """The same judgement as numbers, inside a trace too."""
-    scene = normalise(scene)
-    return _outcome(scene, trajectory, motion(scene, trajectory.states).fed)
-
-
-def decided_at(scene: Scene, trajectory: Trajectory) -> dict[str, float]:
-    """When each sheet's fate was decided, s: it passed the goal, folded, left the path or stalled; infinite for one that was
-    still on its way at the end."""
-    scene = normalise(scene)
-    each = jax.device_get(_fates(scene, trajectory, motion(scene, trajectory.states).fed))
-    late = each.status == STATUSES.index("late")
-    return dict(zip(sorted(scene.sheets), np.where(late, np.inf, each.time).tolist(), strict=True))
-
-
-def _of_each(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
-    """(sheets,) what became of each."""
-    names = sorted(scene.sheets)
-    each = [_judge(scene, trajectory, n, Feeding(*(v[:, k] for v in fed)), k) for k, n in enumerate(names)]
-    return jax.tree.map(lambda *v: jnp.stack(v), *each)
-
-
-@jit_of_scene
-def _fates(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
-    return _of_each(scene, trajectory, fed)
-
-
-@jit_of_scene
-def _outcome(scene: Scene, trajectory: Trajectory, fed: Feeding) -> Outcome:
-    both = _of_each(scene, trajectory, fed)
-    worst = jnp.argmax(both.status)
-    found: Outcome = jax.tree.map(lambda v: v[worst], both)
-    broke = ~trajectory.ok
-    return Outcome(
-        status=jnp.where(broke, _STATUS_OF[BROKE], found.status),
-        reason=jnp.where(broke, BROKE, found.reason),
-        sheet=found.sheet,
-        frame=found.frame,
-        time=jnp.where(broke, trajectory.failure.time, found.time),
-    )
 
 
 def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:

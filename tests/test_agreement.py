@@ -11,7 +11,7 @@ from diffeed.agreement import FINER, SHARE, TOLD
 from diffeed.parts import Scene
 from diffeed.records import replace
 from diffeed.trajectory import Failure, Trajectory
-from diffeed.verdict import decided_at
+from diffeed.verdict import judged
 from tests.search import valid
 from tests.test_cli import MINI
 from tests.test_search import LOST_REBOUNDS
@@ -55,14 +55,14 @@ def test_what_a_sheet_does_after_its_fate_is_decided_is_not_compared(scene, run)
     then stalls where no roller holds it."""
     for goal, frame in (("exit", 2), ("", 4)):
         asked = replace(scene, goal=goal)
-        (fate,) = decided_at(asked, run).values()
+        (fate,) = judged(asked, run)[1].values()
         assert run.time[frame - 1] < fate <= run.time[frame]
         here, after = (diffeed.confirm(asked, run, moved(run, k, 100.0)) for k in (frame, frame + 1))
         assert not here.holds
         assert after.holds
         assert after.until == pytest.approx(float(run.time[frame]))
     brief = replace(run, **jax.tree.map(lambda v: v[:2], {n: getattr(run, n) for n in FRAMED}))
-    assert decided_at(scene, brief) == {"strip": np.inf}
+    assert judged(scene, brief)[1] == {"strip": np.inf}
 
 
 def test_another_verdict_and_a_failed_run_are_no_confirmation(scene, run):
