@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from optimize.asked import StudyError
     from optimize.blame_map import arising, blame
+    from optimize.confirmation import Confirmation, confirm
     from optimize.design_run import Result, design
     from optimize.problem import Problem, make_problem
     from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "asked": ("StudyError",),
     "blame_map": ("arising", "blame"),
+    "confirmation": ("Confirmation", "confirm"),
     "design_run": ("Result", "design"),
     "problem": ("Problem", "make_problem"),
     "study": ("Goal", "Limit", "Medium", "Robust", "Search", "Stage", "Study", "Variable"),
@@ -40,6 +42,7 @@ _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names
 
 __all__ = [
     "TERMS",
+    "Confirmation",
     "Goal",
     "Limit",
     "Medium",
@@ -55,6 +58,7 @@ __all__ = [
     "arising",
     "blame",
     "check_study",
+    "confirm",
     "design",
     "latitude",
     "load_study",

@@ -4,13 +4,17 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from diffeed.folders import OutputError, holding, plain_errors, publishing
 from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
 from optimize.tolerance.cli import latitude, tolerance
+
+if TYPE_CHECKING:
+    from optimize.confirmation import Confirmation
+    from optimize.design_run import Result
 
 STUDY = click.argument("study")
 FUSE = click.option(
@@ -42,6 +46,12 @@ main.add_command(latitude)
 @click.option("--iterations", type=click.IntRange(1), help="Instead of the study's.")
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Stop after this time.")
 @click.option("--no-pictures", is_flag=True, help="Write the scene and the numbers only.")
+@click.option(
+    "--confirm/--once",
+    default=True,
+    show_default=True,
+    help="Run the result again with steps 4 times shorter, or such a tolerance, and say whether it is better there; or do not.",
+)
 def design(
     study: str,
     fuse: bool,
@@ -51,6 +61,7 @@ def design(
     iterations: int | None,
     seconds: float | None,
     no_pictures: bool,
+    confirm: bool,
 ) -> None:
     """Search for a better machine.
 
@@ -71,10 +82,29 @@ def design(
         with _bar(problem) as show:
             result = run(problem, out, resume, force, show)
         print_result(console(), result)
+        confirmed = _confirmed(result) if confirm and result.improved else None
         if out:
             with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
-                names = write_result(out, result, not no_pictures)
+                names = write_result(out, result, not no_pictures, confirmed)
             click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")
+
+
+def _confirmed(result: "Result") -> "Confirmation | None":
+    """Say whether the result is better in shorter steps too; None where that cannot be said. Ctrl-C leaves it out."""
+    from optimize.confirmation import confirm
+
+    click.echo("once more, with shorter steps (--once leaves that out)", err=True)
+    try:
+        found = confirm(result)
+    except KeyboardInterrupt:
+        click.echo("not confirmed: stopped by Ctrl-C", err=True)
+        return None
+    except ValueError as problem:
+        click.echo(f"not confirmed: {problem}", err=True)
+        return None
+    if found is not None:
+        console().print(found.sentence())
+    return found
 
 
 @main.command(context_settings=SETTINGS, short_help="May the gradients of a study be believed?")

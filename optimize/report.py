@@ -11,6 +11,7 @@ from diffeed import player
 from diffeed.files import write_whole
 from diffeed.terminal import plain_table
 from optimize.blame_map import arising, blame, parts_of
+from optimize.confirmation import Confirmation
 from optimize.design_run import Result, Scored, run_of
 from optimize.journal import FILES, SUMMARY
 from optimize.problem import SLACK, Problem
@@ -23,7 +24,7 @@ WORDS = ("unit", "wanted")
 """Columns of words in the tables."""
 
 
-def summarise(result: Result) -> dict[str, Any]:
+def summarise(result: Result, confirmed: Confirmation | None = None) -> dict[str, Any]:
     """The result as plain words and numbers."""
     problem = result.problem
     return {
@@ -37,6 +38,13 @@ def summarise(result: Result) -> dict[str, Any]:
         "seconds": result.progress.seconds,
         "before": _point(result, result.before),
         "after": _point(result, result.after),
+        "confirmed": None
+        if confirmed is None
+        else {
+            "holds": confirmed.holds,
+            "before": _point(result, confirmed.before),
+            "after": _point(result, confirmed.after),
+        },
     }
 
 
@@ -135,7 +143,9 @@ def _machines(robust: Robust) -> str:
     return f"{drawn}, measures are means; the objective and by how much limits are broken are those of {tail}"
 
 
-def write_result(folder: Path, result: Result, pictures: bool = True) -> list[str]:
+def write_result(
+    folder: Path, result: Result, pictures: bool = True, confirmed: Confirmation | None = None
+) -> list[str]:
     """Scene, player, pictures and numbers, in place of all files of an earlier result; the names of the files written."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in reversed(FILES):  # the summary first: without it the folder is not complete
@@ -143,7 +153,7 @@ def write_result(folder: Path, result: Result, pictures: bool = True) -> list[st
     diffeed.save_scene(result.scene, folder / "scene.toml")
     if pictures:
         _write_pictures(folder, result)
-    text = json.dumps(summarise(result), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(summarise(result, confirmed), indent=2, allow_nan=False) + "\n"
     write_whole(folder / SUMMARY, text)
     return [name for name in FILES if (folder / name).exists()]
 

@@ -104,10 +104,12 @@ def test_design_writes_scene_numbers_and_pictures_and_resumes(place):
     assert done.returncode == 0, done.stderr
     assert "A nip of 4 N: better" in done.stdout
     assert re.search(r"preload +N +3 ", done.stdout)
+    assert "Confirmed: in steps 4 times as fine" in done.stdout
     folder = place / "better"
     summary = json.loads((folder / "result.json").read_text())
     assert summary["improved"]
     assert summary["iterations"] == 3
+    assert summary["confirmed"]["holds"]
     improved = diffeed.load_scene(folder / "scene.toml")
     assert float(improved.rollers["pinch"].preload) == pytest.approx(summary["after"]["variables"]["preload"])
     names = (
@@ -123,8 +125,10 @@ def test_design_writes_scene_numbers_and_pictures_and_resumes(place):
     again = run(place, "design", "study.toml", "--out", "better")
     assert again.returncode == 2
     assert "--resume" in again.stderr
-    more = run(place, "design", "study.toml", "--out", "better", "--resume", "--no-pictures")
+    more = run(place, "design", "study.toml", "--out", "better", "--resume", "--no-pictures", "--once")
     assert more.returncode == 0, more.stderr
+    assert "onfirmed" not in more.stdout
+    assert json.loads((folder / "result.json").read_text())["confirmed"] is None
     lines = (folder / "history.jsonl").read_text().splitlines()
     assert [json.loads(line)["iteration"] for line in lines] == [1, 2, 3, 4, 5, 6]
 

@@ -10,7 +10,9 @@ from stand_in_nip import nip
 
 import diffeed
 import optimize
+from diffeed.agreement import FINER
 from optimize import blame_map, descent, evaluate, programs
+from optimize.confirmation import finer
 from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluator
 from optimize.journal import FILES, Journal, JournalError, read_history
@@ -313,6 +315,51 @@ def test_the_expected_gradient_is_not_ruled_by_one_sample():
     np.testing.assert_allclose(kept[4], [0.0, evaluate.OUTLIER])
     alone = jnp.array([[[3.0, 4.0]]])
     np.testing.assert_allclose(evaluate._without_outliers(alone, jnp.array([[True]])), alone)
+
+
+# --- the result in shorter steps ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("dt", "holds"), [(1.25e-4, True), (5e-4, False)])
+def test_a_result_is_held_against_shorter_steps(dt, holds):
+    """In steps of 0.5 ms the nip still rings at the end, which the search takes for force: the preload that it finds is worse
+    than the start."""
+    result = design(problem_of(dt=dt, search={"iterations": 20}))
+    found = optimize.confirm(result)
+    for at, then in ((result.before, found.before), (result.after, found.after)):
+        again = score(problem_of(dt=dt / FINER), at.unit)
+        assert then.objective == again.objective != at.objective
+    assert found.holds == holds
+    said = found.sentence()
+    assert said.startswith("Confirmed: in steps" if holds else f"Not confirmed: in steps {FINER} times as fine")
+    assert f"to {found.after.objective:.4g}, in the search's own from {result.before.objective:.4g}" in said
+    assert ("That is no gain" in said) != holds
+
+
+def test_a_machine_that_jams_or_breaks_limits_in_shorter_steps_is_told():
+    before = score(problem_of(), np.array([0.5]))
+    jams = before.verdicts[0]._replace(status="jammed")
+    for after, told in (
+        (replace(before, verdicts=(jams,)), "there jammed"),
+        (replace(before, violation=0.5), "there limits are broken, by up to 0.5 of their scale"),
+    ):
+        found = optimize.Confirmation(before, after, (1.0, 0.5))
+        assert not found.holds
+        assert told in found.sentence()
+
+
+def test_what_was_not_improved_needs_no_confirmation_and_too_many_steps_are_told():
+    result = design(problem_of(search={"iterations": 4}))
+    assert optimize.confirm(replace(result, after=result.before)) is None
+    study = result.problem.study.model_copy(update={"dt": 2e-11})
+    with pytest.raises(ValueError, match="steps"):
+        optimize.confirm(replace(result, problem=replace(result.problem, study=study)))
+
+
+def test_a_smaller_tolerance_is_given_more_steps():
+    study = problem_of(step_tolerance=0.1, most_steps=100).study
+    assert finer(study).stepping == study.stepping | {"tolerance": 0.1 / FINER, "most_steps": 100 * FINER}
+    assert finer(problem_of().study).stepping == problem_of().study.stepping | {"dt": TABLE["dt"] / FINER}
 
 
 # --- the result in its folder -----------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ def flags(monkeypatch):
 def test_flags_are_added_to_those_given(flags):
     quick = ["--xla_cpu_use_fusion_emitters=false", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling"]
     assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", *quick]
+    assert flags(tuning.compile_for_batches, "") == quick[1:]
     assert flags(tuning.fuse_outputs, "") == [quick[0], quick[1] + ",xla_cpu_use_multi_output_fusion"]
 
 
@@ -52,6 +53,7 @@ def test_a_compiler_that_is_known_to_fuse_does_so_unasked(flags, version, count)
     given = flags(tuning.compile_quickly, "", version)
     assert len(given) == count
     assert (given == flags(tuning.fuse_outputs, "", version)) == (version != "0.10.2")
+    assert (given == flags(tuning.compile_for_batches, "", version)) == (version != "0.10.2")
 
 
 @pytest.mark.parametrize(("version", "count"), [("0.10.2", 2), ("0.11.2", 0), ("0.12.0.1", 1), ("1.0.0rc1", 0)])
@@ -69,7 +71,7 @@ def test_a_command_for_single_runs_takes_one_core_unless_told_otherwise(alone, g
 
 def test_the_flags_are_known_to_this_compiler():
     """It ends the process otherwise."""
-    for call in ("compile_quickly", "fuse_outputs", "compile_plainly"):
+    for call in ("compile_quickly", "compile_for_batches", "fuse_outputs", "compile_plainly"):
         code = f"from diffeed import tuning; tuning.{call}(); import jax; print(jax.numpy.ones(2).sum())"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
         assert done.stdout.strip() == "2.0", done.stderr

@@ -1,0 +1,68 @@
+"""Whether what a search found is better in shorter steps too: a search sees no more than its steps do, and takes what they
+leave wrong for a gain."""
+
+from dataclasses import dataclass, replace
+
+from diffeed.agreement import FINER
+from diffeed.causes import SHORTER
+from diffeed.limits import MAX_STEPS
+from optimize.asked import run_problems
+from optimize.design_run import Result, Scored, score
+from optimize.problem import SLACK
+from optimize.study import Study
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """The machine before and after in steps `FINER` times shorter, or such a tolerance."""
+
+    before: Scored
+    after: Scored
+    searched: tuple[float, float]  # the objectives of both in the steps of the search
+
+    @property
+    def holds(self) -> bool:
+        """It is better in these steps too."""
+        return self.after.rank < self.before.rank
+
+    def sentence(self) -> str:
+        """What it came to, in words."""
+        (one, two), (first, then) = self.searched, (self.before.objective, self.after.objective)
+        told = f"in steps {FINER} times as fine the objective goes from {first:.4g} to {then:.4g}, in the search's own from "
+        told += f"{one:.4g} to {two:.4g}"
+        jams = next((v.sentence() for v in self.after.verdicts if v.status != "passed"), "")
+        broken = f"limits are broken, by up to {self.after.violation:.2g} of their scale" if self._breaks else ""
+        but = "; there " + " and ".join(filter(None, (jams, broken))) if jams or broken else ""
+        if self.holds:
+            return f"Confirmed: {told}{but}."
+        return f"Not confirmed: {told}{but}. That is no gain; for the search, {SHORTER}."
+
+    @property
+    def _breaks(self) -> bool:
+        return self.after.violation > SLACK
+
+
+def confirm(result: Result) -> Confirmation | None:
+    """Score the machine before and after a search in steps `FINER` times shorter; None where the search found nothing better.
+
+    Raises ValueError where such steps are more than a run may have.
+    """
+    if not result.improved:
+        return None
+    study = finer(result.problem.study)
+    problems: list[str] = []
+    for name, scene in zip(result.problem.media, result.problem.scenes, strict=True):
+        run_problems(study, scene, f"media.{name}" if name else "", problems)
+    if problems:
+        raise ValueError("; ".join(problems))
+    problem = replace(result.problem, study=study)
+    before, after = (score(problem, point.unit) for point in (result.before, result.after))
+    return Confirmation(before, after, (result.before.objective, result.after.objective))
+
+
+def finer(study: Study) -> Study:
+    """The same study with steps `FINER` times shorter, or such a tolerance and as many more steps."""
+    if study.step_tolerance is None:
+        return study.model_copy(update={"dt": study.dt / FINER})
+    more = {"step_tolerance": study.step_tolerance / FINER, "most_steps": min(FINER * study.most_steps, MAX_STEPS)}
+    return study.model_copy(update=more)
