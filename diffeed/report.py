@@ -19,6 +19,8 @@ OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
 COLORS = {"passed": "bold green", "late": "bold yellow"}
 COMPARED = {"slip_rms": "slip RMS (mm/s)", "force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
 """Of each roller, before and after."""
+FLAT = 1e-7
+"""1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""
 NEAREST = 8
 """Gaps in the table; the rest are in the summary."""
 CREEP = (
@@ -182,7 +184,7 @@ def _sheet_table(sheets: dict[str, Any]) -> "Table":
     )
     for name, row in sheets.items():
         curvature = row["largest_curvature"]
-        radius = 1.0 / curvature if curvature else None
+        radius = 1.0 / curvature if curvature and curvature > FLAT else None
         values = (radius, row["fed"], row["commanded"], row["progress"], row["longest_stall"])
         table.add_row(name, "-" if curvature is None else f"{curvature:.3g}", *(_text(v) for v in values))
     return table

@@ -4,7 +4,6 @@ leave wrong for a gain."""
 from dataclasses import dataclass, replace
 
 from diffeed.agreement import FINER
-from diffeed.causes import SHORTER
 from diffeed.limits import MAX_STEPS
 from optimize.asked import run_problems
 from optimize.design_run import Result, Scored, score
@@ -30,16 +29,21 @@ class Confirmation:
         (one, two), (first, then) = self.searched, (self.before.objective, self.after.objective)
         told = f"in steps {FINER} times as fine the objective goes from {first:.4g} to {then:.4g}, in the search's own from "
         told += f"{one:.4g} to {two:.4g}"
-        jams = next((v.sentence() for v in self.after.verdicts if v.status != "passed"), "")
-        broken = f"limits are broken, by up to {self.after.violation:.2g} of their scale" if self._breaks else ""
-        but = "; there " + " and ".join(filter(None, (jams, broken))) if jams or broken else ""
-        if self.holds:
-            return f"Confirmed: {told}{but}."
-        return f"Not confirmed: {told}{but}. That is no gain; for the search, {SHORTER}."
+        told += f"; there {_state(self.before)} before, {_state(self.after)} after"
+        return (
+            f"Confirmed: {told}."
+            if self.holds
+            else f"Not confirmed: {told}. That is no gain: search with a smaller dt, or a step_tolerance."
+        )
 
-    @property
-    def _breaks(self) -> bool:
-        return self.after.violation > SLACK
+
+def _state(point: Scored) -> str:
+    """Whether it runs and keeps the limits, in words."""
+    statuses = [v.status for v in point.verdicts]
+    ran = "/".join(dict.fromkeys(statuses))
+    if point.violation <= SLACK:
+        return ran
+    return f"{ran} with limits broken by up to {point.violation:.2g} of their scale"
 
 
 def confirm(result: Result) -> Confirmation | None:

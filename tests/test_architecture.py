@@ -144,6 +144,7 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
     import diffeed
 
     offered = {
+        "agreement",
         "measures",
         "plot",
         "plot_style",

@@ -549,3 +549,12 @@ def test_a_report_with_long_names_fits_the_terminal(width):
     assert "…" not in text.getvalue()
     assert "-1235" in text.getvalue()
     assert "never" in text.getvalue()
+
+
+@pytest.mark.parametrize(("curvature", "radius"), [(0.01, "100.0"), (5e-17, "-"), (0.0, "-")])
+def test_a_sheet_that_nothing_bends_has_no_radius(curvature, radius):
+    row = {"largest_curvature": curvature, "fed": 300.0, "commanded": 300.0, "progress": 1.0, "longest_stall": 0.0}
+    text = io.StringIO()
+    Console(file=text, width=120).print(report._sheet_table({"film": row}))
+    (line,) = (line for line in text.getvalue().splitlines() if line.startswith("film"))
+    assert line.split()[2] == radius

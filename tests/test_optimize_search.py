@@ -340,8 +340,11 @@ def test_a_machine_that_jams_or_breaks_limits_in_shorter_steps_is_told():
     before = score(problem_of(), np.array([0.5]))
     jams = before.verdicts[0]._replace(status="jammed")
     for after, told in (
-        (replace(before, verdicts=(jams,)), "there jammed"),
-        (replace(before, violation=0.5), "there limits are broken, by up to 0.5 of their scale"),
+        (replace(before, verdicts=(jams,)), "there passed before, jammed after"),
+        (
+            replace(before, violation=0.5),
+            "there passed before, passed with limits broken by up to 0.5 of their scale after",
+        ),
     ):
         found = optimize.Confirmation(before, after, (1.0, 0.5))
         assert not found.holds
