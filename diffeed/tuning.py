@@ -15,8 +15,7 @@ QUICK: Flags = (("xla_cpu_use_fusion_emitters", "false"), (EXTRA, "xla_cpu_disab
 seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by side is
 found without unrolling."""
 BATCHED: Flags = QUICK[1:]
-"""Compiles in half as long again as `QUICK` to batches that run in three quarters of the time (jax 0.10): a tolerance study of
-the film feeder is ready sooner from 150 samples on."""
+"""Takes longer to compile than `QUICK`, to batches that run faster: for hundreds of long runs."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
 """One loop makes several results: steps take two thirds of the time, gradients half. Not for every scene: up to jaxlib 0.10
 the compiler goes on with some (those of `runge_kutta` among them) until the memory is full."""
