@@ -17,6 +17,7 @@ from diffeed.bodies import Bodies, bodies, spins
 from diffeed.contact import Closest, Kept, circles_near, features, guides_near, keep, keep_all, roller_gaps
 from diffeed.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.model import Model, Path
+from diffeed.once import computed_once
 from diffeed.state import State
 
 MOST_SLOTS = 12
@@ -193,6 +194,7 @@ def _smallest(gap: Array, count: int) -> tuple[Array, Array]:
     if n > RANKED:
         closest, index = lax.top_k(-gap.T, count + 1)
         return index[:, :count].T, -jnp.max(closest[:, count])
+    gap = computed_once(gap)
     rows, earlier = np.arange(n, dtype=np.int32)[None, :, None], np.tri(n, k=-1, dtype=bool)[:, :, None]
     is_ahead = (gap[None] < gap[:, None]) | ((gap[None] == gap[:, None]) & earlier)
     rank = jnp.sum(is_ahead, axis=1, dtype=np.int32)

@@ -36,6 +36,7 @@ _ALL = (
     Cause("energy came from nowhere", SHORTER),
     Cause("a bar lies across a guide", "see how it came there: shorter steps and shorter bars keep a sheet in front"),
     Cause("the steps are too short for single precision: the sheet no longer moves on", "take float64 or longer steps"),
+    Cause("friction turned about within an explicit step", "take shorter steps, or an implicit method"),
 )
 CAUSES = tuple(cause.what for cause in _ALL)
 """Causes of a failed run, by number; 0 is none."""
@@ -55,4 +56,5 @@ REMEDIES = tuple(cause.remedy for cause in _ALL)
     FROM_NOWHERE,
     ACROSS,
     FROZEN,
+    TURNED_ABOUT,
 ) = range(1, len(_ALL))

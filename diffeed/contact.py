@@ -245,8 +245,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     """The kept bodies against every feature of every sheet. Without a `grip`, friction is regularised everywhere."""
     rows = features(model, at)
     near, half_thickness = _near(model, rows, world, kept), rows[-1].half_thickness
-    known = model.bars.half_length[0]
-    near = derived_once(near, known)
+    near = derived_once(near)
     levers, away, along = [], [], []
     for row, place in zip(rows, near.places, strict=True):
         rn = place.arm_x * near.ny - place.arm_y * near.nx
@@ -256,7 +255,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
     raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].friction_factor, grip)
-    touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw, known))
+    touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw))
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
     turning = touch.force * near.lever

@@ -142,6 +142,17 @@ def stick_friction(surface: Surface, v_t: Array, grip: Grip) -> tuple[Array, Arr
     return share * reach, share * later
 
 
+def friction_after(surface: Surface, touch: Touch, v_t: Array, gained: Array, ahead: Array, grip: Grip | None) -> Array:
+    """Friction under the same normal force once the sliding speed is `gained` (mm/s) more, as for `ahead` (s) it has been."""
+    later = v_t + gained
+    slides = touch.secant * friction_secant(surface, later) / friction_secant(surface, v_t) * later
+    if grip is None or surface.stick is None:
+        return slides
+    dragged = grip._replace(deflection=grip.deflection + ahead * gained / surface.stick_displacement)
+    held = stick_friction(surface, later, dragged)[0] / stick_friction(surface, v_t, grip)[1]
+    return jnp.where(surface.stick, touch.secant * held, slides)
+
+
 def _held_share(reach: Array) -> Array:
     """psi(z)/z. The division is made safe for the gradient of the branch that is not taken, without a tie at the bound."""
     size = jnp.abs(reach)

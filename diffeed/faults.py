@@ -6,11 +6,12 @@ Nothing here is felt by the run itself: no force, no gradient.
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.causes import FROZEN, LEAPT, NOT_FINITE, SINGULAR, TOO_DEEP, TOO_FAST, UNRESOLVED
+from diffeed.causes import FROZEN, LEAPT, NOT_FINITE, SINGULAR, TOO_DEEP, TOO_FAST, TURNED_ABOUT, UNRESOLVED
 from diffeed.contact import Kept, Pairs, allowed_in_circles
 from diffeed.forces import Contacts
 from diffeed.kinematics import to_nodes
 from diffeed.model import Model
+from diffeed.overshoot import turns_about
 from diffeed.state import State
 
 FASTEST = 1e7
@@ -22,7 +23,9 @@ STILL = 1.0
 """mm/s: a sheet that is slower may well stay where it is."""
 
 
-def of_step(model: Model, before: State, after: State, touching: Contacts, kept: Kept, h: Array) -> tuple[Array, Array]:
+def of_step(
+    model: Model, before: State, after: State, touching: Contacts, kept: Kept, h: Array, explicit: bool = False
+) -> tuple[Array, Array]:
     """Cause of failure of a step, 0 for none, and its error by the order one (mm): half the step at the speed gained in it.
 
     `touching` are the contacts of the state before, as the steppers see them.
@@ -36,6 +39,8 @@ def of_step(model: Model, before: State, after: State, touching: Contacts, kept:
         allowed = allowed_in_circles(model.rollers.radius)
         allowed = jnp.minimum(allowed[i], allowed[j])
         cause = jnp.where(jnp.any(touching.rollers.gap < -allowed), TOO_DEEP, cause)
+    if explicit and touching.sheets is not None and touching.sheets.touch.secant is not None:
+        cause = jnp.where((cause == 0) & turns_about(model, before, touching.sheets, kept, h), TURNED_ABOUT, cause)
     if before.x.dtype == jnp.float32:
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)

@@ -89,12 +89,13 @@ def taken(
     h: Array,
     kept: Kept,
     observe: tuple[str, ...],
+    explicit: bool = False,
 ) -> Progress:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
     before = carry.state
     # Judging has no derivative: nothing of it is carried on by one.
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
-    (cause, leap), book = faults.of_step(judged, then, now, met, near, h), carry.book
+    (cause, leap), book = faults.of_step(judged, then, now, met, near, h, explicit), carry.book
     if balance.is_kept(model):
         book = balance.entered(judged, book, met, h)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.

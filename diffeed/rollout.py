@@ -23,7 +23,7 @@ from diffeed.progress import Progress, begin, recomputed, searched, taken
 from diffeed.records import replace
 from diffeed.snapshot import felt_by_bodies, look, part_names, snapshot
 from diffeed.state import State
-from diffeed.steppers import DEFAULT, ESTIMATING, STEPPERS
+from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
 from diffeed.trajectory import Failure, Resume, Trajectory
 
 BLOCK = 16
@@ -167,7 +167,7 @@ def _simulate(
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             after, touching = STEPPERS[method](model, carry.state, h, found.kept)
             after = replace(after, time=time)
-            return taken(model, scene, carry, after, touching, h, found.kept, observe), None
+            return taken(model, scene, carry, after, touching, h, found.kept, observe, method in EXPLICIT), None
 
         last, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
         return searched(model, found, carry, last)

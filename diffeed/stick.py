@@ -85,7 +85,7 @@ def advance(model: Model, grip: Array | None, pairs: Pairs | None, a: Solution, 
     """Deflections at the end of an implicit step: dragged along at the sliding speeds that the step ends with."""
     if grip is None or pairs is None:
         return grip
-    slide = pairs.v_t + h * _sliding_acceleration(model, pairs, a, kept)
+    slide = pairs.v_t + h * sliding_acceleration(model, pairs, a, kept)
     return moved(grip, *pull(model, pairs, slide, kept), h)
 
 
@@ -121,7 +121,7 @@ def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
     return stick_deflection(divide(friction, most))
 
 
-def _sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
+def sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
     """(rows, features), mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
     rows = zip(laid_out(model, (a.x, a.y, a.w)), pairs.levers, strict=True)
     gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])

@@ -26,7 +26,7 @@ RANKS = """
     crossing
     stick
     candidates forces
-    energy balance faults
+    energy balance overshoot faults
     chain_dense chain_elimination
     chain_solve
     steppers.advance steppers.linear_euler steppers.extrapolated_euler steppers.runge_kutta steppers.midpoint

@@ -55,7 +55,7 @@ def pressed(guide, force):
     """A strip pressed onto a guide by a force in its middle."""
     return machine(
         strip(lead=(10.0, 0.26)),
-        Contact(stiffness=3.0, damping=1e-3),
+        Contact(stiffness=3.0, damping=1e-3, friction_law="none"),
         guides={"bed": guide},
         loads={"press": Load(sheet="strip", at=1, force=(0.0, -force))},
         gravity=(0.0, 0.0),

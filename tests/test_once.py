@@ -1,4 +1,4 @@
-"""Derivatives computed once: the same numbers, less code."""
+"""What is computed once: the same numbers, less code."""
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ def plain(x):
 
 
 def guarded(x):
-    return derived_once(plain(x), jnp.asarray(7.0))
+    return derived_once(plain(x))
 
 
 def kept(x):
-    return computed_once(plain(x), jnp.asarray(7.0))
+    return computed_once(plain(x))
 
 
 @pytest.mark.parametrize("guarded", [guarded, kept])
@@ -30,17 +30,30 @@ def test_values_and_derivatives_are_the_same_bits(by, guarded):
     assert jnp.array_equal(guarded(x), plain(x))
 
 
+def operations(function, *given):
+    """Of the compiled program, those that were merged into several readers counted in each."""
+    jax.clear_caches()  # what was traced before knows nothing of the change
+    return jax.jit(function).lower(*given).compile().as_text().count(" = ")
+
+
+def at_the_end(scene):
+    return diffeed.simulate(scene, dt=5e-4, frames=2).sheets["strip"].nodes[-1, 0, 0]
+
+
+def many(scene):
+    return jax.tree.map(lambda v: jnp.stack([v, v]), scene)
+
+
+@pytest.mark.parametrize(("function", "given"), [(at_the_end, nip()), (jax.vmap(at_the_end), many(nip()))])
+def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function, given):
+    """JAX 0.12 merges the readers too, and has none twice: there it must not cost more."""
+    with_it = operations(function, given)
+    monkeypatch.setattr(contact, "computed_once", lambda values: values)
+    assert with_it < (0.9 if tuning._jaxlib() < (0, 11) else 1.01) * operations(function, given)
+
+
 @pytest.mark.slow
 def test_the_compiled_gradient_of_a_run_is_smaller(monkeypatch):
-    """Operations of the compiled program, those that were merged into several readers counted in each. JAX 0.12 merges the
-    readers too, and has none twice: there it must not cost more."""
-
-    def operations():
-        jax.clear_caches()  # what was traced before knows nothing of the change
-        measure = jax.grad(lambda scene: diffeed.simulate(scene, dt=5e-4, frames=2).sheets["strip"].nodes[-1, 0, 0])
-        return jax.jit(measure).lower(nip()).compile().as_text().count(" = ")
-
-    with_it = operations()
-    monkeypatch.setattr(contact, "derived_once", lambda values, known: values)
-    without = operations()
-    assert with_it < (0.8 if tuning._jaxlib() < (0, 11) else 1.01) * without
+    with_it = operations(jax.grad(at_the_end), nip())
+    monkeypatch.setattr(contact, "derived_once", lambda values: values)
+    assert with_it < (0.8 if tuning._jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())
