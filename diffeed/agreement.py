@@ -4,11 +4,12 @@ A run sees what its steps do, not what they leave out: a rebound that begins and
 to whichever side rounding tips it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from diffeed.causes import SHORTER
+from diffeed.limits import MAX_STEPS
 from diffeed.parts import Scene
 from diffeed.trajectory import Trajectory
 from diffeed.verdict import judged
@@ -18,6 +19,16 @@ FINER = 4
 TOLD, SHARE = 3.0, 0.02
 """Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
 larger."""
+
+
+def finer(dt: float | None = None, tolerance: float | None = None, most_steps: int | None = None) -> dict[str, Any]:
+    """The keywords of a run to compare with: `dt` (s), or `tolerance` (mm), `FINER` times smaller, with as many more
+    `most_steps` where they are given."""
+    if tolerance is None:
+        assert dt is not None
+        return {"dt": dt / FINER}
+    most = {} if most_steps is None else {"most_steps": min(FINER * most_steps, MAX_STEPS)}
+    return {"tolerance": tolerance / FINER, **most}
 
 
 class Confirmation(NamedTuple):
@@ -46,25 +57,26 @@ class Confirmation(NamedTuple):
         return f"{away}verdict is {self.after}. Believe neither run: {SHORTER}."
 
 
-def confirm(scene: Scene, run: Trajectory, finer: Trajectory) -> Confirmation:
-    """Compare a run with one of the same scene, duration and frames with steps `FINER` times shorter (or such a tolerance).
+def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
+    """Compare a run with one of the same scene, duration and frames made `again` with steps `FINER` times shorter (or such a
+    tolerance).
 
     What a sheet does after it has passed the goal or jammed in both is not compared. A run that failed is compared up to
     there, and not confirmed. Raises ValueError where the frames are not the same.
     """
-    count = min(len(run.time), len(finer.time))
+    count = min(len(run.time), len(again.time))
     times = np.asarray(run.time)[:count]
-    alike = np.allclose(times, np.asarray(finer.time)[:count], rtol=1e-6, atol=0.0)
-    if run.ok and finer.ok and not (alike and len(run.time) == len(finer.time)):
-        ends = (f"{len(r.time)} until {float(r.time[-1]):g} s" for r in (run, finer))
+    alike = np.allclose(times, np.asarray(again.time)[:count], rtol=1e-6, atol=0.0)
+    if run.ok and again.ok and not (alike and len(run.time) == len(again.time)):
+        ends = (f"{len(r.time)} until {float(r.time[-1]):g} s" for r in (run, again))
         raise ValueError(f"the runs must have the same frames, but have {' and '.join(ends)}")
-    (first, fates), (second, finer_fates) = (judged(scene, r) for r in (run, finer))
+    (first, fates), (second, finer_fates) = (judged(scene, r) for r in (run, again))
     before, after = first.status, second.status
     apart, way, sheet, frame, until = 0.0, 0.0, min(run.sheets), 0, 0
     for name, track in run.sheets.items():
         fate = max(fates[name], finer_fates[name]) if before == after else np.inf
         last = min(int(np.searchsorted(times, fate)) + 1, count)  # the first frame after it as well
-        mine, other = (np.asarray(t.nodes)[:last] for t in (track, finer.sheets[name]))
+        mine, other = (np.asarray(t.nodes)[:last] for t in (track, again.sheets[name]))
         gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)
         steps = np.linalg.norm(np.diff(other, axis=0), axis=-1)
         way, until = max(way, float(steps.sum(axis=0).max(initial=0.0))), max(until, last - 1)

@@ -52,11 +52,9 @@ class Request:
 
     def finer(self, dt: float) -> "Request":
         """The same with shorter steps than this length, or a smaller tolerance."""
-        from diffeed.agreement import FINER
+        from diffeed.agreement import finer
 
-        if self.tolerance is not None:
-            return replace(self, tolerance=self.tolerance / FINER)
-        return replace(self, dt=dt / FINER)
+        return replace(self, **finer(dt, self.tolerance))
 
 
 @dataclass

@@ -144,6 +144,7 @@ def stick_friction(surface: Surface, v_t: Array, grip: Grip) -> tuple[Array, Arr
 
 def friction_after(surface: Surface, touch: Touch, v_t: Array, gained: Array, ahead: Array, grip: Grip | None) -> Array:
     """Friction under the same normal force once the sliding speed is `gained` (mm/s) more, as for `ahead` (s) it has been."""
+    assert touch.secant is not None, "only where a set has friction"
     later = v_t + gained
     slides = touch.secant * friction_secant(surface, later) / friction_secant(surface, v_t) * later
     if grip is None or surface.stick is None:

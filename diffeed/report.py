@@ -184,7 +184,7 @@ def _sheet_table(sheets: dict[str, Any]) -> "Table":
     )
     for name, row in sheets.items():
         curvature = row["largest_curvature"]
-        radius = 1.0 / curvature if curvature and curvature > FLAT else None
+        radius = 1.0 / curvature if (curvature or 0.0) > FLAT else None
         values = (radius, row["fed"], row["commanded"], row["progress"], row["longest_stall"])
         table.add_row(name, "-" if curvature is None else f"{curvature:.3g}", *(_text(v) for v in values))
     return table

@@ -10,11 +10,13 @@ from typing import Any
 Version = tuple[int, int]
 Flags = tuple[tuple[str, str], ...]
 EXTRA = "xla_backend_extra_options"
-QUICK: Flags = (("xla_cpu_use_fusion_emitters", "false"), (EXTRA, "xla_cpu_disable_loop_unrolling"))
+NO_EMITTERS: Flags = (("xla_cpu_use_fusion_emitters", "false"),)
+NO_UNROLLING: Flags = ((EXTRA, "xla_cpu_disable_loop_unrolling"),)
+QUICK = NO_EMITTERS + NO_UNROLLING
 """Compiles in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second alone in
 seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by side is
 found without unrolling."""
-BATCHED: Flags = QUICK[1:]
+BATCHED = NO_UNROLLING
 """Takes longer to compile than `QUICK`, to batches that run faster: for hundreds of long runs."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
 """One loop makes several results: steps take two thirds of the time, gradients half. Not for every scene: up to jaxlib 0.10

@@ -3,8 +3,7 @@ leave wrong for a gain."""
 
 from dataclasses import dataclass, replace
 
-from diffeed.agreement import FINER
-from diffeed.limits import MAX_STEPS
+from diffeed.agreement import FINER, finer
 from optimize.asked import run_problems
 from optimize.design_run import Result, Scored, score
 from optimize.problem import SLACK
@@ -30,11 +29,9 @@ class Confirmation:
         told = f"in steps {FINER} times as fine the objective goes from {first:.4g} to {then:.4g}, in the search's own from "
         told += f"{one:.4g} to {two:.4g}"
         told += f"; there {_state(self.before)} before, {_state(self.after)} after"
-        return (
-            f"Confirmed: {told}."
-            if self.holds
-            else f"Not confirmed: {told}. That is no gain: search with a smaller dt, or a step_tolerance."
-        )
+        if self.holds:
+            return f"Confirmed: {told}."
+        return f"Not confirmed: {told}. That is no gain: search with a smaller dt, or a step_tolerance."
 
 
 def _state(point: Scored) -> str:
@@ -53,7 +50,7 @@ def confirm(result: Result) -> Confirmation | None:
     """
     if not result.improved:
         return None
-    study = finer(result.problem.study)
+    study = in_finer_steps(result.problem.study)
     problems: list[str] = []
     for name, scene in zip(result.problem.media, result.problem.scenes, strict=True):
         run_problems(study, scene, f"media.{name}" if name else "", problems)
@@ -64,9 +61,7 @@ def confirm(result: Result) -> Confirmation | None:
     return Confirmation(before, after, (result.before.objective, result.after.objective))
 
 
-def finer(study: Study) -> Study:
+def in_finer_steps(study: Study) -> Study:
     """The same study with steps `FINER` times shorter, or such a tolerance and as many more steps."""
-    if study.step_tolerance is None:
-        return study.model_copy(update={"dt": study.dt / FINER})
-    more = {"step_tolerance": study.step_tolerance / FINER, "most_steps": min(FINER * study.most_steps, MAX_STEPS)}
-    return study.model_copy(update=more)
+    steps = finer(study.dt, study.step_tolerance, study.most_steps)
+    return study.model_copy(update={"step_tolerance" if key == "tolerance" else key: v for key, v in steps.items()})

@@ -12,7 +12,7 @@ import diffeed
 import optimize
 from diffeed.agreement import FINER
 from optimize import blame_map, descent, evaluate, programs
-from optimize.confirmation import finer
+from optimize.confirmation import in_finer_steps
 from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluator
 from optimize.journal import FILES, Journal, JournalError, read_history
@@ -361,8 +361,8 @@ def test_what_was_not_improved_needs_no_confirmation_and_too_many_steps_are_told
 
 def test_a_smaller_tolerance_is_given_more_steps():
     study = problem_of(step_tolerance=0.1, most_steps=100).study
-    assert finer(study).stepping == study.stepping | {"tolerance": 0.1 / FINER, "most_steps": 100 * FINER}
-    assert finer(problem_of().study).stepping == problem_of().study.stepping | {"dt": TABLE["dt"] / FINER}
+    assert in_finer_steps(study).stepping == study.stepping | {"tolerance": 0.1 / FINER, "most_steps": 100 * FINER}
+    assert in_finer_steps(problem_of().study).stepping == problem_of().study.stepping | {"dt": TABLE["dt"] / FINER}
 
 
 # --- the result in its folder -----------------------------------------------------------------------------------------
