@@ -39,8 +39,8 @@ def of_step(
         allowed = allowed_in_circles(model.rollers.radius)
         allowed = jnp.minimum(allowed[i], allowed[j])
         cause = jnp.where(jnp.any(touching.rollers.gap < -allowed), TOO_DEEP, cause)
-    if explicit and touching.sheets is not None and touching.sheets.touch.secant is not None:
-        cause = jnp.where((cause == 0) & turns_about(model, before, touching.sheets, kept, h), TURNED_ABOUT, cause)
+    if explicit:
+        cause = jnp.where((cause == 0) & turns_about(model, before, touching, kept, h), TURNED_ABOUT, cause)
     if before.x.dtype == jnp.float32:
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)

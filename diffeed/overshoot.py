@@ -10,8 +10,9 @@ import numpy as np
 from jax import Array
 
 from diffeed import stick
-from diffeed.contact import Kept, Pairs, by_circle
-from diffeed.contact_law import friction_after
+from diffeed.contact import Kept, Pairs, RollerPairs, by_circle
+from diffeed.contact_law import Surface, friction_after
+from diffeed.forces import Contacts
 from diffeed.model import Model
 from diffeed.state import State, spread
 from diffeed.system import Solution
@@ -22,25 +23,43 @@ NOTICED = 0.1
 """Of the stick speed: what friction must change in a step to be judged. Less is rounding."""
 
 
-def turns_about(model: Model, state: State, pairs: Pairs, kept: Kept, h: Array) -> Array:
-    """Whether friction would turn about within the step: for each sheet along its own pull, for each roller by itself.
+def turns_about(model: Model, state: State, touching: Contacts, kept: Kept, h: Array) -> Array:
+    """Whether friction would turn about within the step.
 
-    Without roller against roller, and without what a sheet's bars do against each other. Where surfaces stick, it is told at a
-    third to all of the step at which it happens: the lag of the deflection counts for it, not against it.
+    Judged are each sheet along its own pull, each free roller, and each two rollers on each other; not what a sheet's bars do
+    against each other. Where surfaces stick, it is told at a third to all of the step at which it happens: the lag of the
+    deflection counts for it, not against it.
     """
-    if pairs.touch.secant is None:
-        return jnp.zeros((), bool)
+    found = [jnp.zeros((), bool)]
+    if touching.sheets is not None and touching.sheets.touch.secant is not None:
+        found += _on_sheets(model, state, touching.sheets, kept, h)
+    if touching.rollers is not None and touching.rollers.touch.secant is not None and model.rollers.n_free:
+        found.append(_on_rollers(model, touching.rollers, h))
+    return jnp.any(jnp.stack(found))
+
+
+def _on_sheets(model: Model, state: State, pairs: Pairs, kept: Kept, h: Array) -> list[Array]:
     now = _pull(model, pairs, kept, pairs.touch.friction)
     gained = 0.5 * h * stick.sliding_acceleration(model, pairs, _spread(model, now), kept)
     # A deflection drifts for half a step too; this much less that its limit is the one of what swings.
     ahead, grip = h * DAMPED / SWINGS**2, stick.of_pairs(model, state.grip, kept, 0.0)
     then = _pull(model, pairs, kept, friction_after(kept.surface, pairs.touch, pairs.v_t, gained, ahead, grip))
-    least = NOTICED * jnp.min(kept.surface.stick_speed)
-    found = []
-    for a, b in zip(now, then, strict=True):
-        size, change = jnp.sum(a * a, axis=0), jnp.sum(a * (a - b), axis=0)
-        found.append(jnp.any((2.0 * change > DAMPED * size) & (h * h * size > least**2)))
-    return jnp.any(jnp.stack(found))
+    return [_overshoots(a, b, kept.surface, h) for a, b in zip(now, then, strict=True)]
+
+
+def _on_rollers(model: Model, pairs: RollerPairs, h: Array) -> Array:
+    rollers, (i, j) = model.rollers, pairs.between
+    give = jnp.zeros_like(rollers.radius).at[rollers.free].set(rollers.radius[rollers.free] ** 2 / rollers.inertia)
+    give, friction = give[i] + give[j], pairs.touch.friction
+    later = friction_after(pairs.surface, pairs.touch, pairs.v_t, -0.5 * h * give * friction, h, None)
+    return _overshoots((give * friction)[None], (give * later)[None], pairs.surface, h)
+
+
+def _overshoots(now: Array, then: Array, surface: Surface, h: Array) -> Array:
+    """Accelerations (axes, any), mm/s2, by friction now and half a step later: whether any overshoots."""
+    size, change = jnp.sum(now * now, axis=0), jnp.sum(now * (now - then), axis=0)
+    least = NOTICED * jnp.min(surface.stick_speed)
+    return jnp.any((2.0 * change > DAMPED * size) & (h * h * size > least**2))
 
 
 def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import extremes as ex
 
-from diffeed import Contact, FixedRoller
+from diffeed import Contact, FixedRoller, MovableRoller
 from diffeed.causes import TURNED_ABOUT
 from diffeed.contact_law import BRISTLE_LAG
 from diffeed.overshoot import DAMPED, SWINGS
@@ -86,6 +86,27 @@ def test_an_idler_lighter_than_the_sheet():
     found = runs(scene, [ratio * DAMPED / rate for ratio in RATIOS])
     sheet = found.sheets["paper"].velocities[:, -1, 0, 0]
     judged(found, found.states.spin[:, -1, 0] * ex.RADIUS / sheet, 1.0)
+
+
+def test_an_idler_on_its_drive():
+    """No sheet between: mu N R^2/(I v_s)."""
+    inertia, scene = 1e-3, ex.machine(friction=FRICTION, contact=BARE)
+    scale = Contact().stiffness * ex.BITE ** Contact().exponent * 1e3 * FRICTION
+    y = 0.5 * (2.0 * ex.RADIUS - ex.BITE)
+    drive = FixedRoller(center=(0.0, 100.0 - y), radius=ex.RADIUS, friction=FRICTION, surface_speed=-ex.SPEED)
+    idler = MovableRoller(
+        center=(0.0, 100.0 + y),
+        direction=(1.0, 0.0),
+        radius=ex.RADIUS,
+        friction=FRICTION,
+        inertia=inertia,
+        spin=9.5,
+        mass=1e6,
+    )
+    scene = replace(scene, rollers={"drive": drive, "idler": idler})
+    rate = scale * ex.RADIUS**2 / inertia / Contact().stick_speed
+    found = runs(scene, [ratio * DAMPED / rate for ratio in RATIOS])
+    judged(found, found.states.spin[:, -1, 0] * ex.RADIUS, ex.SPEED)
 
 
 def test_a_sheet_that_slips_for_good_is_no_failure():
