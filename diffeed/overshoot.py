@@ -27,8 +27,8 @@ def turns_about(model: Model, state: State, touching: Contacts, kept: Kept, h: A
     """Whether friction would turn about within the step.
 
     Judged are each sheet along its own pull, each free roller, and each two rollers on each other; not what a sheet's bars do
-    against each other. Once is enough, though a run might come right again after it. Where surfaces stick, it is told at a third to all of the step at which it happens: the lag of the
-    deflection counts for it, not against it.
+    against each other. Once is enough, though a run might come right again after it. Where surfaces stick, it is told at a
+    third to all of the step at which it happens: the lag of the deflection counts for it, not against it.
     """
     found = [jnp.zeros((), bool)]
     if touching.sheets is not None and touching.sheets.touch.secant is not None:
