@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffeed import measures
-    from diffeed.agreement import Confirmation, confirm
-    from diffeed.causes import CAUSES
-    from diffeed.check_records import SceneError
-    from diffeed.check_records import make_scene as scene
-    from diffeed.examine import check
-    from diffeed.gradient_faults import explain_gradient
-    from diffeed.gradient_trust import GradientCheck, check_function, gradient_check
-    from diffeed.gradients import GradientPlan, gradient_plan, value_and_gradient
-    from diffeed.observe import OBSERVERS
-    from diffeed.parts import (
+    from diffeed.chain.state import State
+    from diffeed.faults.causes import CAUSES
+    from diffeed.gradients.faults import explain_gradient
+    from diffeed.gradients.modes import GradientPlan, gradient_plan, value_and_gradient
+    from diffeed.gradients.trust import GradientCheck, check_function, gradient_check
+    from diffeed.input.check_records import SceneError
+    from diffeed.input.check_records import make_scene as scene
+    from diffeed.input.parts import (
         ArcGuide,
         CircleGuide,
         Clamp,
@@ -34,14 +32,17 @@ if TYPE_CHECKING:
         Sheet,
         SinglePrecision,
     )
-    from diffeed.paths import get, numbers, put, unit
-    from diffeed.rollout import simulate
-    from diffeed.scene_file import load_scene, read_scene, save_scene, scene_text, shipped_scenes
-    from diffeed.stacking import stack
-    from diffeed.state import State
-    from diffeed.statics import Linearisation, linearise, settle
+    from diffeed.input.paths import get, numbers, put, unit
+    from diffeed.input.scene_file import load_scene, read_scene, save_scene, scene_text, shipped_scenes
+    from diffeed.input.stacking import stack
+    from diffeed.readings.agreement import Confirmation, confirm
+    from diffeed.readings.observe import OBSERVERS
+    from diffeed.readings.trajectory import Trajectory
+    from diffeed.run.examine import check
+    from diffeed.run.rollout import simulate
+    from diffeed.statics.rest import settle
+    from diffeed.statics.vibrations import Linearisation, linearise
     from diffeed.steppers import METHODS
-    from diffeed.trajectory import Trajectory
 
 __version__ = "0.1.0"
 
@@ -95,15 +96,15 @@ __all__ = [
 ]
 
 _MODULES = {
-    "agreement": ("Confirmation", "confirm"),
-    "causes": ("CAUSES",),
-    "check_records": ("SceneError",),
-    "examine": ("check",),
-    "gradient_trust": ("GradientCheck", "check_function", "gradient_check"),
-    "gradient_faults": ("explain_gradient",),
-    "gradients": ("GradientPlan", "gradient_plan", "value_and_gradient"),
-    "observe": ("OBSERVERS",),
-    "parts": (
+    "readings.agreement": ("Confirmation", "confirm"),
+    "faults.causes": ("CAUSES",),
+    "input.check_records": ("SceneError",),
+    "run.examine": ("check",),
+    "gradients.trust": ("GradientCheck", "check_function", "gradient_check"),
+    "gradients.faults": ("explain_gradient",),
+    "gradients.modes": ("GradientPlan", "gradient_plan", "value_and_gradient"),
+    "readings.observe": ("OBSERVERS",),
+    "input.parts": (
         "ArcGuide",
         "CircleGuide",
         "Clamp",
@@ -119,17 +120,18 @@ _MODULES = {
         "Sheet",
         "SinglePrecision",
     ),
-    "paths": ("get", "numbers", "put", "unit"),
-    "rollout": ("simulate",),
-    "scene_file": ("load_scene", "read_scene", "save_scene", "scene_text", "shipped_scenes"),
-    "stacking": ("stack",),
-    "state": ("State",),
-    "statics": ("Linearisation", "linearise", "settle"),
+    "input.paths": ("get", "numbers", "put", "unit"),
+    "run.rollout": ("simulate",),
+    "input.scene_file": ("load_scene", "read_scene", "save_scene", "scene_text", "shipped_scenes"),
+    "input.stacking": ("stack",),
+    "chain.state": ("State",),
+    "statics.rest": ("settle",),
+    "statics.vibrations": ("Linearisation", "linearise"),
     "steppers": ("METHODS",),
-    "trajectory": ("Trajectory",),
+    "readings.trajectory": ("Trajectory",),
 }
 _HOMES = {name: (module, name) for module, names in _MODULES.items() for name in names}
-_HOMES["scene"] = ("check_records", "make_scene")
+_HOMES["scene"] = ("input.check_records", "make_scene")
 
 
 def __getattr__(name: str) -> Any:

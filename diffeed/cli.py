@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import diffeed
+from diffeed.base.terminal import SETTINGS, Refusal, console, hand_out, refusing
 from diffeed.bench.cli import advise, bench
-from diffeed.session import (
+from diffeed.command.session import (
     METHOD,
     SCENE,
     SET,
@@ -24,13 +25,12 @@ from diffeed.session import (
     set_up,
     stoppable,
 )
-from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
 
 if TYPE_CHECKING:
-    from diffeed.agreement import Confirmation
-    from diffeed.earlier import Earlier
-    from diffeed.parts import Scene
-    from diffeed.trajectory import Trajectory
+    from diffeed.command.earlier import Earlier
+    from diffeed.input.parts import Scene
+    from diffeed.readings.agreement import Confirmation
+    from diffeed.readings.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Request:
 
     def finer(self, dt: float) -> "Request":
         """The same with shorter steps than this length, or a smaller tolerance."""
-        from diffeed.agreement import finer
+        from diffeed.readings.agreement import finer
 
         return replace(self, **finer(dt, self.tolerance))
 
@@ -166,8 +166,8 @@ Examples:
 @click.argument("name", required=False)
 def scenes(name: str | None) -> None:
     """List the scenes that come with diffeed, or print the file of one: a start for a machine of your own."""
-    from diffeed.check_records import SceneError
-    from diffeed.scene_file import shipped_text
+    from diffeed.input.check_records import SceneError
+    from diffeed.input.scene_file import shipped_text
 
     if name is not None:
         with refusing(SceneError):
@@ -202,9 +202,9 @@ main.add_command(advise)
 
 
 def _run(ask: Request) -> int:
-    from diffeed.earlier import read_run
-    from diffeed.folders import OutputError, draft_of, refuse_overwriting
-    from diffeed.outputs import FILES
+    from diffeed.base.folders import OutputError, draft_of, refuse_overwriting
+    from diffeed.command.earlier import read_run
+    from diffeed.command.outputs import FILES
 
     kept = () if ask.force else FILES
     with refusing(OutputError):
@@ -224,8 +224,8 @@ def _run(ask: Request) -> int:
 
 
 def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
-    from diffeed.limits import run_problem, scene_size
-    from diffeed.rollout import STEP
+    from diffeed.base.limits import run_problem, scene_size
+    from diffeed.run.rollout import STEP
 
     steps = ask.finer(ask.dt or STEP).dt if ask.tolerance is None else None
     if problem := run_problem(scene.duration, steps, ask.frames, scene_size(scene)):
@@ -234,8 +234,8 @@ def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
 
 def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
     """Piece after piece, until the end, the first failure or Ctrl-C."""
-    from diffeed.pieces import run_in_pieces
-    from diffeed.report import OBSERVE
+    from diffeed.command.report import OBSERVE
+    from diffeed.run.pieces import run_in_pieces
     from diffeed.steppers import DEFAULT
 
     pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE, ask.tolerance)
@@ -256,10 +256,10 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
 
 def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None") -> int:
     """Report and write what there is; the exit status."""
-    from diffeed.outputs import write_files
-    from diffeed.pieces import cut_at_failure
-    from diffeed.report import print_changes, print_report, summarise
-    from diffeed.trajectory import join
+    from diffeed.command.outputs import write_files
+    from diffeed.command.report import print_changes, print_report, summarise
+    from diffeed.readings.trajectory import join
+    from diffeed.run.pieces import cut_at_failure
 
     trajectory = cut_at_failure(join(progress.pieces))
     summary = summarise(scene, trajectory) | _circumstances(ask, scene, trajectory, progress)
@@ -287,9 +287,9 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
 def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> "Confirmation | None":
     """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known: the first
     run is not lost by it."""
-    from diffeed.agreement import confirm
-    from diffeed.pieces import cut_at_failure
-    from diffeed.trajectory import join
+    from diffeed.readings.agreement import confirm
+    from diffeed.readings.trajectory import join
+    from diffeed.run.pieces import cut_at_failure
 
     if progress.stopped:
         return None
@@ -338,8 +338,8 @@ def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progr
 
 
 def _hint(ask: Request, cause: int) -> str:
-    from diffeed.causes import REMEDIES, SHORTER, TOO_DEEP
-    from diffeed.rollout import STEP
+    from diffeed.faults.causes import REMEDIES, SHORTER, TOO_DEEP
+    from diffeed.run.rollout import STEP
     from diffeed.steppers import DEFAULT
 
     if REMEDIES[cause] != SHORTER and cause != TOO_DEEP:

@@ -12,17 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.frames import approach, motion
-from diffeed.margin import jam_margin as jam_margin
-from diffeed.margin import jam_margins as jam_margins
-from diffeed.model import Model, build
-from diffeed.parts import Scene, normalise
-from diffeed.trajectory import Trajectory
-from diffeed.verdict import STATUSES as STATUSES
-from diffeed.verdict import Outcome as Outcome
-from diffeed.verdict import Verdict as Verdict
-from diffeed.verdict import outcome as outcome
-from diffeed.verdict import verdict as verdict
+from diffeed.input.parts import Scene, normalise
+from diffeed.model.arrays import Model
+from diffeed.model.build import build
+from diffeed.readings.frames import approach, motion
+from diffeed.readings.margin import jam_margin as jam_margin
+from diffeed.readings.margin import jam_margins as jam_margins
+from diffeed.readings.trajectory import Trajectory
+from diffeed.readings.verdict import STATUSES as STATUSES
+from diffeed.readings.verdict import Outcome as Outcome
+from diffeed.readings.verdict import Verdict as Verdict
+from diffeed.readings.verdict import outcome as outcome
+from diffeed.readings.verdict import verdict as verdict
 
 SATURATED = 0.95
 """Share of the friction limit above which a contact counts as truly sliding."""

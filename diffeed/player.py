@@ -7,9 +7,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from diffeed.files import write_whole
-from diffeed.parts import Scene
-from diffeed.player_data import run_data
+from diffeed.base.files import write_whole
+from diffeed.input.parts import Scene
+from diffeed.show.player_data import run_data
 
 SCRIPTS = ("data.js", "view.js", "labels.js", "paint.js", "charts.js", "app.js")
 
@@ -60,4 +60,4 @@ def _json(data: Any) -> str:
 
 
 def _read(name: str) -> str:
-    return (resources.files("diffeed") / "player_page" / name).read_text(encoding="utf-8")
+    return (resources.files("diffeed") / "show" / "player_page" / name).read_text(encoding="utf-8")

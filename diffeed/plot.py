@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from diffeed import outlines, plot_machine, plot_style
-from diffeed.parts import Scene
+from diffeed.input.parts import Scene
+from diffeed.show import outlines, plot_machine, plot_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

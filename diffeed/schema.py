@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from diffeed.check_values import VARYING, Field
-from diffeed.limits import MAX_BARS, MAX_PARTS, MAX_POINTS
-from diffeed.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
-from diffeed.records import REQUIRED, fields, is_required
-from diffeed.words import LONGEST, NAME
+from diffeed.base.limits import MAX_BARS, MAX_PARTS, MAX_POINTS
+from diffeed.base.records import REQUIRED, fields, is_required
+from diffeed.base.words import LONGEST, NAME
+from diffeed.input.check_values import VARYING, Field
+from diffeed.input.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _BOUNDS: dict[str, dict[str, Any]] = {"positive": {"exclusiveMinimum": 0}, "nonnegative": {"minimum": 0}, "any": {}}

@@ -39,7 +39,7 @@ python_maximum_signature_line_length = 80
 nitpick_ignore_regex = [
     # Of other projects: their pages cannot be asked without a network.
     ("py:.*", r"((jax|numpy|matplotlib|pydantic|pathlib|os|collections|typing)\..*|Axes)"),
-    ("py:.*", r"diffeed\.paths\.T"),  # a type variable: the same type comes back
+    ("py:.*", r"diffeed\.input\.paths\.T"),  # a type variable: the same type comes back
     ("py:.*", r"optimize\.descent\.(Progress|Line)"),  # of a search on its way: for those who read its source
     ("py:.*", r"optimize\.(asked\.Asked|tolerance\.(contributions\.Slopes|statistics\.Indices))"),  # likewise
 ]

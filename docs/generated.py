@@ -17,11 +17,11 @@ from pydantic import BaseModel
 
 import diffeed.cli
 import optimize.cli
-from diffeed import limits
-from diffeed.causes import CAUSES, REMEDIES
-from diffeed.check_values import VARYING
-from diffeed.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
-from diffeed.records import REQUIRED, fields, is_required
+from diffeed.base import limits
+from diffeed.base.records import REQUIRED, fields, is_required
+from diffeed.faults.causes import CAUSES, REMEDIES
+from diffeed.input.check_values import VARYING
+from diffeed.input.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
 from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
 from optimize.terms import TERMS
 from optimize.tolerance.records import Axis, Latitude, Measured, Tolerance, ToleranceStudy
@@ -198,7 +198,7 @@ def terms() -> str:
 
 
 def sizes() -> str:
-    """The largest scenes and runs, from `diffeed/limits.py`."""
+    """The largest scenes and runs, from `diffeed/base/limits.py`."""
     rows = [(name, f"{getattr(limits, name):,}", meaning) for name, meaning in _constants(limits)]
     return table(("Limit", "Largest", "What it counts"), [(f"`{n}`", v, m) for n, v, m in rows])
 

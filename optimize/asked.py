@@ -7,9 +7,9 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from diffeed.limits import run_problem, scene_size
-from diffeed.names import hint, nearest
-from diffeed.words import quoted, short
+from diffeed.base.limits import run_problem, scene_size
+from diffeed.base.names import hint, nearest
+from diffeed.base.words import quoted, short
 from optimize.records import Limit, Measured, Runs
 from optimize.terms import TERMS, Term
 

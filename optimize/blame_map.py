@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from diffeed.rollout import at_start
+from diffeed.run.rollout import at_start
 from optimize.asked import values_of
 from optimize.problem import Problem, objective_of, simulate
 from optimize.programs import kept

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diffeed.folders import OutputError, holding, plain_errors, publishing
-from diffeed.terminal import SETTINGS, Refusal, console, hand_out, refusing
+from diffeed.base.folders import OutputError, holding, plain_errors, publishing
+from diffeed.base.terminal import SETTINGS, Refusal, console, hand_out, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
 if TYPE_CHECKING:

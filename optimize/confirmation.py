@@ -3,7 +3,7 @@ leave wrong for a gain."""
 
 from dataclasses import dataclass, replace
 
-from diffeed.agreement import FINER, finer
+from diffeed.readings.agreement import FINER, finer
 from optimize.asked import run_problems
 from optimize.design_run import Result, Scored, score
 from optimize.problem import SLACK

@@ -17,9 +17,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from diffeed.files import plain, replacing, write_whole
-from diffeed.folders import Lock, OutputError, plain_errors, refuse_overwriting
-from diffeed.words import short
+from diffeed.base.files import plain, replacing, write_whole
+from diffeed.base.folders import Lock, OutputError, plain_errors, refuse_overwriting
+from diffeed.base.words import short
 from optimize.descent import Line, Progress, begin, stop
 from optimize.evaluate import Counts
 from optimize.problem import Problem

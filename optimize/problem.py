@@ -12,8 +12,8 @@ import numpy as np
 from jax import Array
 
 import diffeed
-from diffeed.names import nearest
-from diffeed.stacking import misfit
+from diffeed.base.names import nearest
+from diffeed.input.stacking import misfit
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
 from optimize.study import Goal, Study

@@ -7,8 +7,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from diffeed.limits import MAX_STEPS
-from diffeed.words import escaped, name_problem
+from diffeed.base.limits import MAX_STEPS
+from diffeed.base.words import escaped, name_problem
 
 
 def _named(name: str) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 import diffeed
 from diffeed import player
-from diffeed.files import write_whole
-from diffeed.terminal import plain_table
+from diffeed.base.files import write_whole
+from diffeed.base.terminal import plain_table
 from optimize.blame_map import arising, blame, parts_of
 from optimize.confirmation import Confirmation
 from optimize.design_run import Result, Scored, run_of
@@ -159,7 +159,7 @@ def write_result(
 
 
 def _write_pictures(folder: Path, result: Result) -> None:
-    from diffeed import plot_style
+    from diffeed.show import plot_style
     from optimize import pictures
 
     problem = result.problem

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import BaseModel
 
 import diffeed
+from diffeed.base.words import LONGEST, NAME
 from diffeed.schema import DRAFT
-from diffeed.words import LONGEST, NAME
 from optimize.optimisers import OPTIMISERS
 from optimize.study import Study
 from optimize.terms import TERMS

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from diffeed import toml_text
-from diffeed.names import hint
-from diffeed.toml_text import TomlError
-from diffeed.words import key_text, short
+from diffeed.base import toml_text
+from diffeed.base.names import hint
+from diffeed.base.toml_text import TomlError
+from diffeed.base.words import key_text, short
 from optimize.asked import StudyError
 from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
 from optimize.tolerance.records import Tolerance

@@ -10,9 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import diffeed
-from diffeed import balance, faults, progress, tuning
-from diffeed.examine import prepare
-from diffeed.parts import normalise
+from diffeed import tuning
+from diffeed.faults import balance, judge
+from diffeed.input.parts import normalise
+from diffeed.run import progress
+from diffeed.run.examine import prepare
 
 TURNS = 151
 
@@ -21,7 +23,7 @@ def without_checks():
     """The library with nothing looked for in a step or a block; the search's own completeness stays."""
     none = (jnp.zeros((), jnp.int32), jnp.zeros(()))
     return (
-        mock.patch.object(faults, "of_step", return_value=none),
+        mock.patch.object(judge, "of_step", return_value=none),
         mock.patch.object(balance, "is_kept", return_value=False),
         mock.patch.object(progress, "guides_crossed", return_value=jnp.zeros((0,), bool)),
     )

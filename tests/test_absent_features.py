@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import diffeed
+from diffeed.base.records import replace
 from diffeed.bench.jaxprs import count_equations
 from diffeed.bench.transport import transport
-from diffeed.parts import normalise
-from diffeed.records import replace
+from diffeed.input.parts import normalise
 
 SCENE = normalise(replace(diffeed.load_scene("jam_layout"), initial="given"))
 RUN = {"duration": 0.02, "dt": 2e-4, "frames": 3}

@@ -7,11 +7,11 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
-from diffeed.agreement import FINER, SHARE, TOLD
-from diffeed.parts import Scene
-from diffeed.records import replace
-from diffeed.trajectory import Failure, Trajectory
-from diffeed.verdict import judged
+from diffeed.base.records import replace
+from diffeed.input.parts import Scene
+from diffeed.readings.agreement import FINER, SHARE, TOLD
+from diffeed.readings.trajectory import Failure, Trajectory
+from diffeed.readings.verdict import judged
 from tests.search import valid
 from tests.test_cli import MINI
 from tests.test_search import LOST_REBOUNDS
@@ -105,8 +105,8 @@ def test_the_command_confirms_or_not(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
     assert "Confirmed by a run 4 times as fine" in done.output
     assert '"confirmed": {' in (out / "summary.json").read_text()
-    monkeypatch.setattr("diffeed.agreement.SHARE", 0.0)
-    monkeypatch.setattr("diffeed.agreement.TOLD", 0.0)
+    monkeypatch.setattr("diffeed.readings.agreement.SHARE", 0.0)
+    monkeypatch.setattr("diffeed.readings.agreement.TOLD", 0.0)
     done = CliRunner().invoke(cli.main, ["run", str(file), "--dt", "1e-3"])
     assert done.exit_code == 1
     assert "Believe no more than the verdict" in " ".join(done.output.split())

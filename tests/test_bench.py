@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
+from diffeed.base.records import replace
 from diffeed.bench import (
     advise,
     batch,
@@ -33,8 +34,7 @@ from diffeed.bench import (
 from diffeed.bench import front as fronts
 from diffeed.bench.outcome import Outcome, differences
 from diffeed.bench.settings import Setting
-from diffeed.paths import assign
-from diffeed.records import replace
+from diffeed.input.paths import assign
 
 ROOT = Path(__file__).parent.parent
 TINY = """

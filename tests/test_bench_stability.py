@@ -12,7 +12,7 @@ from diffeed import cli
 from diffeed.bench import files, machine, report, stability, stability_chart
 from diffeed.bench.stability import Case, Doubted, Paths, judge
 from diffeed.bench.stability_scene import AXES, BASE, vary
-from diffeed.causes import CAUSES, TOO_FAST
+from diffeed.faults.causes import CAUSES, TOO_FAST
 
 
 @pytest.mark.parametrize(

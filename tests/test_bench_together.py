@@ -13,9 +13,9 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed import cli
+from diffeed.base.folders import Lock
 from diffeed.bench import figures, files, kinds, machine, ripple, roughness, settings, together
-from diffeed.folders import Lock
-from diffeed.paths import assign
+from diffeed.input.paths import assign
 
 HOST = {"processor": "abacus", "device": "cpu: cpu", "jax": "0", "diffeed": "0", "commit": "0123"}
 GROWTH = {
@@ -86,7 +86,7 @@ def test_figures_of_a_front_are_costs_errors_and_the_uncertainty():
 
 @pytest.mark.parametrize(("name", "data"), [("growth", GROWTH), ("ripple", RIPPLE), ("roughness", ROUGHNESS)])
 def test_a_benchmark_is_printed_and_drawn_from_its_data(name, data, tmp_path, capsys):
-    from diffeed.terminal import console
+    from diffeed.base.terminal import console
 
     kinds.KINDS[name].print(console(), data)
     said = capsys.readouterr().out

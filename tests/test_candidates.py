@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffeed.candidates import RANKED, _smallest
+from diffeed.contact.candidates import RANKED, _smallest
 
 
 @pytest.mark.parametrize("n", [7, RANKED, RANKED + 1])

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import chain_dense, chain_elimination, chain_solve
 from diffeed.bench.jaxprs import operations
-from diffeed.model import Layout
-from diffeed.parts import FixedRoller, Scene, Sheet, normalise
-from diffeed.system import BarTerms, Border, Clamped, System
+from diffeed.chain import dense, elimination
+from diffeed.chain import solve as chain_solve
+from diffeed.chain.system import BarTerms, Border, Clamped, System
+from diffeed.input.parts import FixedRoller, Scene, Sheet, normalise
+from diffeed.model.layout import Layout
 
 
 def random_system(layout: Layout, seed: int, columns: int, clamps: int = 0) -> System:
@@ -92,11 +93,11 @@ def constrained_solve(system: System, layout: Layout) -> np.ndarray:
 @pytest.mark.parametrize("bars", [(1,), (2,), (7,), (3, 1, 4)])
 @pytest.mark.parametrize("columns", [0, 1, 3])
 @pytest.mark.parametrize("clamps", [0, 1, 3])
-@pytest.mark.parametrize("way", [chain_dense, chain_elimination])
+@pytest.mark.parametrize("way", [dense, elimination])
 def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, clamps, way):
     layout = Layout(tuple(f"s{k}" for k in range(len(bars))), bars)
     system = random_system(layout, 7 * sum(bars) + columns, columns, clamps)
-    monkeypatch.setattr(chain_solve, "DENSE_UP_TO", 10_000 if way is chain_dense else 0)
+    monkeypatch.setattr(chain_solve, "DENSE_UP_TO", 10_000 if way is dense else 0)
     found = chain_solve.solve(system, layout)
     flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border, found.reaction])
     np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
@@ -112,7 +113,7 @@ def test_rollers_apart_are_eliminated_one_by_one(monkeypatch, clamps):
     own, mixed = jnp.diagonal(matrix), jnp.where(twin == np.arange(7), 0.0, matrix[np.arange(7), twin])
     border = system.border._replace(own=own, mixed=mixed, twin=twin, rest=lambda: jnp.zeros((7, 7)))
     solve = jax.jit(lambda apart: chain_solve.solve(system._replace(border=border._replace(apart=apart)), layout))
-    monkeypatch.setattr(chain_dense, "APART_FROM", 7)
+    monkeypatch.setattr(dense, "APART_FROM", 7)
     whole, apart = solve(False), solve(True)
     for a, b in zip(whole, apart, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
@@ -140,7 +141,7 @@ def test_long_chain_keeps_its_digits():
     system = random_system(layout, 1, 2)
     sides = jnp.stack([system.bars.fx, system.bars.fy, system.bars.fw])[None]
     border = system.border.rhs[None]
-    slow = chain_dense.respond(system, layout, sides, border)
-    fast = jax.jit(lambda *given: chain_elimination.respond(system, layout, *given))(sides, border)
+    slow = dense.respond(system, layout, sides, border)
+    fast = jax.jit(lambda *given: elimination.respond(system, layout, *given))(sides, border)
     for a, b in zip(slow, fast, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10 * float(jnp.max(jnp.abs(a))))

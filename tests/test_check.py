@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffeed.check_records import SceneError, check_records, checked, make_scene
-from diffeed.examine import check
-from diffeed.parts import (
+from diffeed.base.records import fields, replace
+from diffeed.input.check_records import SceneError, check_records, checked, make_scene
+from diffeed.input.parts import (
     ArcGuide,
     CircleGuide,
     Clamp,
@@ -27,7 +27,7 @@ from diffeed.parts import (
     Sheet,
     normalise,
 )
-from diffeed.records import fields, replace
+from diffeed.run.examine import check
 
 SWING = Motion(times=[0.0, 0.5, 1.0], displacement=[[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]], rotation=[0.0, 10.0, 20.0])
 RAMP = Profile(times=(0.0, 0.1), values=(0.0, -30.0))

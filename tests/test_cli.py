@@ -21,8 +21,12 @@ from click.testing import CliRunner
 from rich.console import Console
 
 import diffeed
-from diffeed import cli, earlier, folders, outputs, pieces, player_data, report, tuning
+from diffeed import cli, tuning
+from diffeed.base import folders
 from diffeed.bench.cli import bench
+from diffeed.command import earlier, outputs, report
+from diffeed.run import pieces
+from diffeed.show import player_data
 from optimize.cli import main as optimize_main
 
 ROOT = Path(__file__).parent.parent
@@ -183,7 +187,7 @@ def test_a_changed_machine_is_held_against_the_run_before(finished, place):
 
 def test_runs_of_two_lengths_are_not_compared_in_silence(capsys):
     """A nip that the shorter one never reached carries nothing in it."""
-    from diffeed.terminal import console
+    from diffeed.base.terminal import console
 
     def said(before, after):
         empty = {"sheets": {}, "rollers": {}, "verdict": {"status": "passed"}}
@@ -493,7 +497,7 @@ def test_pieces_hold_whole_frames(frames, count):
 
 @pytest.mark.slow
 def test_all_pieces_are_one_program(tmp_path):
-    from diffeed.rollout import _simulate
+    from diffeed.run.rollout import _simulate
 
     (tmp_path / "mini.toml").write_text(MINI)
     scene = diffeed.load_scene(tmp_path / "mini.toml")

@@ -21,9 +21,9 @@ import diffeed.cli
 import optimize
 import optimize.cli
 from diffeed import measures
-from diffeed.causes import CAUSES, REMEDIES
-from diffeed.parts import SECTIONS, Motion, Profile, Scene
-from diffeed.records import fields
+from diffeed.base.records import fields
+from diffeed.faults.causes import CAUSES, REMEDIES
+from diffeed.input.parts import SECTIONS, Motion, Profile, Scene
 from optimize.study import Study
 from optimize.study_file import is_tolerance
 from optimize.terms import TERMS
@@ -162,7 +162,7 @@ def test_terms_causes_and_sizes_are_all_told(generated):
     told = generated.causes()
     for cause, remedy in zip(CAUSES[1:], REMEDIES[1:], strict=True):
         assert f"| {cause[0].upper() + cause[1:]} | {remedy[0].upper() + remedy[1:]} |" in told
-    from diffeed import limits
+    from diffeed.base import limits
 
     assert rows(generated.sizes()) == {n for n in vars(limits) if n.isupper()}
 

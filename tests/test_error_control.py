@@ -7,10 +7,10 @@ import pytest
 from cases.scenes import draw, free_sheet
 
 import diffeed
-from diffeed import rollout
+from diffeed.base.records import replace
 from diffeed.bench.transport import transport
-from diffeed.causes import CAUSES
-from diffeed.records import replace
+from diffeed.faults.causes import CAUSES
+from diffeed.run import rollout
 from diffeed.steppers import ESTIMATING
 
 FEEDER = diffeed.load_scene("film_feeder")

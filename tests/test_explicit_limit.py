@@ -10,13 +10,13 @@ import pytest
 
 import diffeed
 from diffeed import FixedRoller, LineGuide, Scene, Sheet
-from diffeed.examine import explicit_limit, prepare
-from diffeed.model import NEWTON
-from diffeed.parts import Contact, normalise
-from diffeed.progress import begin
-from diffeed.records import replace
-from diffeed.rollout import STEP, go_on
-from diffeed.trajectory import Resume
+from diffeed.base.records import replace
+from diffeed.input.parts import Contact, normalise
+from diffeed.model.arrays import NEWTON
+from diffeed.readings.trajectory import Resume
+from diffeed.run.examine import explicit_limit, prepare
+from diffeed.run.progress import begin
+from diffeed.run.rollout import STEP, go_on
 
 WAVE, DECAY = 2.0 * np.sqrt(2.0), 2.785
 LENGTH, THICKNESS, WIDTH, DENSITY, MODULUS = 100.0, 0.1, 200.0, 1e-6, 2000.0

@@ -12,13 +12,13 @@ from cases.extremes import EXPLICIT, METHODS, Run
 
 import diffeed
 from diffeed import ArcGuide, CircleGuide, Contact, FixedRoller, LineGuide, Scene, Sheet
-from diffeed.causes import ACROSS, FROM_NOWHERE, LEAPT, TOO_DEEP, TOO_FAST, TURNED_ABOUT, UNRESOLVED
-from diffeed.contact_law import contact_law
-from diffeed.model import build
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.snapshot import look, snapshot
-from diffeed.state import initial_state
+from diffeed.base.records import replace
+from diffeed.chain.state import initial_state
+from diffeed.faults.causes import ACROSS, FROM_NOWHERE, LEAPT, TOO_DEEP, TOO_FAST, TURNED_ABOUT, UNRESOLVED
+from diffeed.input.parts import normalise
+from diffeed.model.build import build
+from diffeed.pair.law import contact_law
+from diffeed.readings.snapshot import look, snapshot
 
 FIRST_ORDER = "linear_euler"
 IMPLICIT = tuple(m for m in METHODS if m != EXPLICIT)

@@ -12,12 +12,12 @@ from cases.extremes import EXPLICIT, Run
 
 import diffeed
 from diffeed import Clamp, FixedRoller, Scene, Sheet
-from diffeed.causes import FROZEN, REMEDIES
-from diffeed.model import build
-from diffeed.parts import normalise
-from diffeed.rollout import Plan, _simulate
-from diffeed.snapshot import snapshot
-from diffeed.state import initial_state
+from diffeed.chain.state import initial_state
+from diffeed.faults.causes import FROZEN, REMEDIES
+from diffeed.input.parts import normalise
+from diffeed.model.build import build
+from diffeed.readings.snapshot import snapshot
+from diffeed.run.rollout import Plan, _simulate
 
 FIRST_ORDER = "linear_euler"
 

@@ -25,10 +25,10 @@ from scipy.integrate import solve_ivp
 
 import diffeed
 from diffeed import Clamp, Scene, Sheet
-from diffeed.examine import explicit_limit, prepare
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.rollout import Plan, _simulate
+from diffeed.base.records import replace
+from diffeed.input.parts import normalise
+from diffeed.run.examine import explicit_limit, prepare
+from diffeed.run.rollout import Plan, _simulate
 
 FIRST_ORDER = "linear_euler"
 IMPLICIT = tuple(m for m in METHODS if m != EXPLICIT)

@@ -11,10 +11,11 @@ from cases import extremes as ex
 from cases.extremes import EXPLICIT
 
 import diffeed
-from diffeed import Scene, error_control
-from diffeed.causes import CAUSES, NO_REST, REMEDIES
-from diffeed.parts import normalise
-from diffeed.rollout import Plan, _simulate, _simulate_to
+from diffeed import Scene
+from diffeed.faults.causes import CAUSES, NO_REST, REMEDIES
+from diffeed.input.parts import normalise
+from diffeed.run import error_control
+from diffeed.run.rollout import Plan, _simulate, _simulate_to
 from diffeed.steppers import ESTIMATING
 
 FIRST_ORDER = "linear_euler"

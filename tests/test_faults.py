@@ -7,7 +7,10 @@ import pytest
 
 import diffeed
 from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet, measures
-from diffeed.causes import (
+from diffeed.base.records import replace
+from diffeed.chain.state import initial_state
+from diffeed.contact.crossing import guides_crossed
+from diffeed.faults.causes import (
     ACROSS,
     CAUSES,
     FROM_NOWHERE,
@@ -19,12 +22,9 @@ from diffeed.causes import (
     TOO_DEEP,
     UNRESOLVED,
 )
-from diffeed.crossing import guides_crossed
-from diffeed.model import build
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.state import initial_state
-from diffeed.trajectory import join
+from diffeed.input.parts import normalise
+from diffeed.model.build import build
+from diffeed.readings.trajectory import join
 from tests.search.oracle import across
 
 METHODS = diffeed.METHODS

@@ -165,7 +165,7 @@ def test_a_taut_sheet_holds(case):
     kick = np.zeros(20)
     kick[10] = 5.0
     scene = Scene(
-        sheets={"a": diffeed.records.replace(sheet, rates=tuple(kick))},
+        sheets={"a": diffeed.base.records.replace(sheet, rates=tuple(kick))},
         clamps={"wall": Clamp(sheet="a", at="tail", kind="pin")},
         loads={"pull": Load(sheet="a", at="lead", force=(pull, 0.0))},
         gravity=(0.0, 0.0),

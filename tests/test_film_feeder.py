@@ -7,8 +7,8 @@ import pytest
 
 import diffeed
 from diffeed import measures
-from diffeed.model import build
-from diffeed.records import replace
+from diffeed.base.records import replace
+from diffeed.model.build import build
 
 SCENE = diffeed.load_scene("film_feeder")
 

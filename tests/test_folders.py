@@ -16,8 +16,8 @@ from test_optimize_cli import STUDY
 from test_optimize_cli import run as optimise
 
 import diffeed
-from diffeed.files import replacing, write_whole
-from diffeed.folders import Lock, OutputError, draft_of, holding, publishing, write_all
+from diffeed.base.files import replacing, write_whole
+from diffeed.base.folders import Lock, OutputError, draft_of, holding, publishing, write_all
 from optimize.cli import main
 from optimize.journal import Journal, JournalError
 from optimize.problem import make_problem
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parent.parent
 HOLD = """
 import sys, time
 from pathlib import Path
-from diffeed.folders import draft_of
+from diffeed.base.folders import draft_of
 with draft_of(Path(sys.argv[1])) as draft:
     (draft / "a.txt").write_text("half")
     print("holding", flush=True)
@@ -132,7 +132,7 @@ def test_a_command_holds_its_folder_and_leaves_no_empty_one(tmp_path):
 
 
 def subprocess_lock(folder: Path) -> None:
-    code = "import sys; from pathlib import Path; from diffeed.folders import Lock; Lock(Path(sys.argv[1]))"
+    code = "import sys; from pathlib import Path; from diffeed.base.folders import Lock; Lock(Path(sys.argv[1]))"
     done = subprocess.run([sys.executable, "-c", code, str(folder)], cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         raise OutputError(done.stderr.splitlines()[-1])

@@ -7,9 +7,10 @@ import pytest
 from stand_in_nip import nip
 
 import diffeed
-from diffeed import contact_law, gradient_trust
 from diffeed.bench.jaxprs import operations
-from diffeed.gradient_faults import BadStep
+from diffeed.gradients import trust
+from diffeed.gradients.faults import BadStep
+from diffeed.pair import law
 
 SETTLED = nip(initial="settled")
 """From a start that closes the nip by an impact, the gradient is exact and useless."""
@@ -76,7 +77,7 @@ def jittery(x):
 
 def test_the_check_calls_an_exact_gradient_useless_where_it_is():
     clock = np.array([0.1, 0.2])
-    found = gradient_trust.check_function(
+    found = trust.check_function(
         jittery, np.array([1.0]), ("radius",), ("mm",), np.array([0.05]), clock, times=clock, samples=64
     )
     good, bad = found.rows
@@ -87,7 +88,7 @@ def test_the_check_calls_an_exact_gradient_useless_where_it_is():
 
 
 def test_a_number_without_effect_is_flat():
-    found = gradient_trust.check_function(
+    found = trust.check_function(
         lambda x: jnp.stack([3.0 + 0.0 * x[0]]), np.array([1.0]), ("idle",), ("mm",), np.array([0.1]), np.array([1.0])
     )
     assert found.rows[0].verdict == "flat"
@@ -114,7 +115,7 @@ def test_the_first_bad_step_pair_and_term_are_named(monkeypatch):
 
     scene = nip(speed=0.0)  # at rest: nothing slides
     jax.clear_caches()
-    monkeypatch.setattr(contact_law, "friction_secant", unguarded)
+    monkeypatch.setattr(law, "friction_secant", unguarded)
     found = diffeed.explain_gradient(scene, duration=0.0025, dt=5e-4)
     jax.clear_caches()
     assert found.step == 1

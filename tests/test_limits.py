@@ -12,11 +12,12 @@ from click.testing import CliRunner
 from stand_in_nip import nip
 
 import diffeed
-from diffeed import cli, limits, player, toml_text
-from diffeed.check_records import SceneError, check_records
-from diffeed.records import replace
-from diffeed.scene_file import read_scene
-from diffeed.words import key_text, name_problem, quoted, short
+from diffeed import cli, player
+from diffeed.base import limits, toml_text
+from diffeed.base.records import replace
+from diffeed.base.words import key_text, name_problem, quoted, short
+from diffeed.input.check_records import SceneError, check_records
+from diffeed.input.scene_file import read_scene
 from optimize.asked import StudyError
 from optimize.journal import Journal, JournalError
 from optimize.problem import make_problem
@@ -190,7 +191,7 @@ def test_a_name_of_a_part_cannot_end_the_script_of_the_player(tmp_path):
 
 
 def test_the_page_writes_no_markup_from_data():
-    for file in (ROOT / "diffeed" / "player_page").glob("*.js"):
+    for file in (ROOT / "diffeed" / "show" / "player_page").glob("*.js"):
         text = file.read_text("utf-8")
         assert not any(
             word in text for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(")

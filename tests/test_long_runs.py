@@ -12,7 +12,7 @@ import pytest
 
 import diffeed
 from diffeed import ArcGuide, FixedRoller, Scene, Sheet
-from diffeed.parts import normalise
+from diffeed.input.parts import normalise
 from tests.cases.ledger import ledger
 
 ROOT = Path(__file__).parent.parent

@@ -6,8 +6,9 @@ import pytest
 from stand_in_nip import nip
 
 import diffeed
-from diffeed import contact, tuning
-from diffeed.once import computed_once, derived_once
+from diffeed import tuning
+from diffeed.base.once import computed_once, derived_once
+from diffeed.contact import sweep
 
 
 def plain(x):
@@ -48,12 +49,12 @@ def many(scene):
 def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function, given):
     """JAX 0.12 merges the readers too, and has none twice: there it must not cost more."""
     with_it = operations(function, given)
-    monkeypatch.setattr(contact, "computed_once", lambda values: values)
+    monkeypatch.setattr(sweep, "computed_once", lambda values: values)
     assert with_it < (0.9 if tuning._jaxlib() < (0, 11) else 1.01) * operations(function, given)
 
 
 @pytest.mark.slow
 def test_the_compiled_gradient_of_a_run_is_smaller(monkeypatch):
     with_it = operations(jax.grad(at_the_end), nip())
-    monkeypatch.setattr(contact, "derived_once", lambda values: values)
+    monkeypatch.setattr(sweep, "derived_once", lambda values: values)
     assert with_it < (0.8 if tuning._jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())

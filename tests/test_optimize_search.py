@@ -10,7 +10,7 @@ from stand_in_nip import nip
 
 import diffeed
 import optimize
-from diffeed.agreement import FINER
+from diffeed.readings.agreement import FINER
 from optimize import blame_map, descent, evaluate, programs
 from optimize.confirmation import in_finer_steps
 from optimize.design_run import design, finish, score

@@ -7,12 +7,12 @@ import pytest
 from cases import extremes as ex
 
 from diffeed import Contact, FixedRoller, MovableRoller
-from diffeed.causes import TURNED_ABOUT
-from diffeed.contact_law import BRISTLE_LAG
-from diffeed.overshoot import DAMPED, SWINGS
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.rollout import Plan, _simulate
+from diffeed.base.records import replace
+from diffeed.faults.causes import TURNED_ABOUT
+from diffeed.faults.overshoot import DAMPED, SWINGS
+from diffeed.input.parts import normalise
+from diffeed.pair.law import BRISTLE_LAG
+from diffeed.run.rollout import Plan, _simulate
 
 COUNTS = Plan(frames=5, blocks=4, steps=40)
 FRICTION, BARE = 0.5, {"damping": 0.0, "smoothing": 0.0}

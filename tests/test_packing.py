@@ -7,11 +7,11 @@ import pytest
 from jax.core import Tracer
 
 import diffeed
+from diffeed.base.records import replace
 from diffeed.bench.transport import transport
-from diffeed.packing import LOOSE, Row, pack, stacked
-from diffeed.parts import FixedRoller, Motion, Profile, Scene, normalise
-from diffeed.records import replace
-from diffeed.rollout import _simulate, plan
+from diffeed.input.packing import LOOSE, Row, pack, stacked
+from diffeed.input.parts import FixedRoller, Motion, Profile, Scene, normalise
+from diffeed.run.rollout import _simulate, plan
 
 COUNTS = plan(2e-3, 1e-3, 2)
 

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffeed.parts import FixedRoller, LineGuide, Motion, MovableRoller, Profile, Scene, Sheet, normalise
-from diffeed.paths import PathError, get, numbers, parse_assignment, put, unit
+from diffeed.input.parts import FixedRoller, LineGuide, Motion, MovableRoller, Profile, Scene, Sheet, normalise
+from diffeed.input.paths import PathError, get, numbers, parse_assignment, put, unit
 
 
 def raw_scene() -> Scene:

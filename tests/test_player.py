@@ -11,8 +11,8 @@ from stand_in import film_feeder, run
 
 from diffeed import plot
 from diffeed.player import page, write_player
-from diffeed.player_data import pack, unpack
-from diffeed.rollout import simulate
+from diffeed.run.rollout import simulate
+from diffeed.show.player_data import pack, unpack
 
 SCENE = film_feeder()
 RUN = run(SCENE)

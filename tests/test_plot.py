@@ -14,8 +14,9 @@ from matplotlib.patches import Circle
 from stand_in import film_feeder, run
 
 import diffeed
-from diffeed import labels, outlines, plot
-from diffeed.parts import ArcGuide, Clamp, LineGuide, Motion, Profile, Scene, Sensor, normalise
+from diffeed import plot
+from diffeed.input.parts import ArcGuide, Clamp, LineGuide, Motion, Profile, Scene, Sensor, normalise
+from diffeed.show import labels, outlines
 from optimize.blame_map import Blame
 from optimize.pictures import blame_map
 

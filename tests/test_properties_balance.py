@@ -13,13 +13,14 @@ from cases.scenes import DT, HIGH_ORDER, METHODS, ORDER, draw, nip, rod, run, sl
 from cases.transforms import shifted
 
 import diffeed
-from diffeed.contact import features
-from diffeed.contact_law import Surface, contact_law
-from diffeed.model import NEWTON, build
-from diffeed.parts import Scene
-from diffeed.records import replace
-from diffeed.snapshot import look
-from diffeed.state import initial_state
+from diffeed.base.records import replace
+from diffeed.chain.state import initial_state
+from diffeed.contact.features import features
+from diffeed.input.parts import Scene
+from diffeed.model.arrays import NEWTON
+from diffeed.model.build import build
+from diffeed.pair.law import Surface, contact_law
+from diffeed.readings.snapshot import look
 
 STEPS = 200
 FAR = np.array([0.0, 1e3])

@@ -16,13 +16,16 @@ from cases.transforms import difference, map_numbers, outputs
 from scipy.optimize import brentq
 
 import diffeed
-from diffeed import candidates
+from diffeed.base.records import replace
 from diffeed.bench.transport import transport
-from diffeed.candidates import search
-from diffeed.contact import keep_all, sheet_contacts
-from diffeed.forces import Step, pair_terms
-from diffeed.model import NEWTON, build
-from diffeed.parts import (
+from diffeed.chain.state import initial_state
+from diffeed.contact import candidates
+from diffeed.contact.candidates import search
+from diffeed.contact.kept import keep_all
+from diffeed.contact.sweep import sheet_contacts
+from diffeed.forces.contacts import pair_terms
+from diffeed.forces.terms import Step
+from diffeed.input.parts import (
     ArcGuide,
     CircleGuide,
     Contact,
@@ -33,10 +36,10 @@ from diffeed.parts import (
     Sheet,
     normalise,
 )
-from diffeed.records import replace
-from diffeed.rollout import _simulate, plan
-from diffeed.snapshot import look
-from diffeed.state import initial_state
+from diffeed.model.arrays import NEWTON
+from diffeed.model.build import build
+from diffeed.readings.snapshot import look
+from diffeed.run.rollout import _simulate, plan
 
 SEEDS = (0, 1, 2)
 

@@ -27,7 +27,7 @@ from cases.transforms import (
 )
 
 import diffeed
-from diffeed.records import replace
+from diffeed.base.records import replace
 
 TIMES = np.linspace(0.0, DURATION, FRAMES)
 SEEDS = (0, 1, 2)

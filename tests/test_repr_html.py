@@ -13,8 +13,8 @@ import pytest
 from matplotlib import pyplot
 
 import diffeed
-from diffeed.records import fields, replace
-from diffeed.trajectory import Failure
+from diffeed.base.records import fields, replace
+from diffeed.readings.trajectory import Failure
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffeed import scene_file
-from diffeed.check_records import SceneError, check_records
-from diffeed.parts import (
+from diffeed.base.records import fields, replace
+from diffeed.input import scene_file
+from diffeed.input.check_records import SceneError, check_records
+from diffeed.input.parts import (
     SECTIONS,
     ArcGuide,
     CircleGuide,
@@ -26,9 +27,8 @@ from diffeed.parts import (
     Sheet,
     normalise,
 )
-from diffeed.paths import numbers
-from diffeed.records import fields, replace
-from diffeed.scene_file import load_scene, save_scene, scene_text, shipped_scenes
+from diffeed.input.paths import numbers
+from diffeed.input.scene_file import load_scene, save_scene, scene_text, shipped_scenes
 
 FILM = """
 [sheets.film]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed.parts import Scene
+from diffeed.input.parts import Scene
 
 OUTCOMES: dict[str, list[tuple[dict[str, float], str]]] = {
     "film_feeder": [({}, "passed")],

@@ -12,9 +12,9 @@ from test_scene_file import DRIVE, FILM, full_scene
 
 import diffeed.cli
 import optimize.cli
-from diffeed.parts import SECTIONS, Motion, Profile, Scene
-from diffeed.records import fields, is_required
-from diffeed.scene_file import load_scene, scene_text
+from diffeed.base.records import fields, is_required
+from diffeed.input.parts import SECTIONS, Motion, Profile, Scene
+from diffeed.input.scene_file import load_scene, scene_text
 from diffeed.schema import scene_schema
 from optimize.asked import StudyError
 from optimize.schema import STUDIES, study_schema
@@ -159,7 +159,7 @@ def test_reader_and_schema_agree_on_every_value_of_a_wrong_type(tmp_path, wrong)
 
 
 def diffeed_problems(table) -> list[str]:
-    from diffeed import scene_file
+    from diffeed.input import scene_file
 
     try:
         scene_file._scene(table, "scene")

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import diffeed
-from diffeed.records import replace
+from diffeed.base.records import replace
 from tests.search import fuzz, invalid, kill, mutations, oracle, seeds, valid
 
 LOST_REBOUNDS = (("nip", "linear_euler", 20), ("floor", "midpoint", 7))

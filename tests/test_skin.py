@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import ArcGuide, CircleGuide, FixedRoller, LineGuide, MovableRoller, Scene, Sheet, kinematics
-from diffeed import contact as sweep
-from diffeed.candidates import search, slots
-from diffeed.contact import keep_all
-from diffeed.forces import Contacts, Step, border, contacts, pair_terms
-from diffeed.model import NEWTON, build
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.snapshot import contact_on_bars, look, roller_track
-from diffeed.state import initial_state
+from diffeed import ArcGuide, CircleGuide, FixedRoller, LineGuide, MovableRoller, Scene, Sheet
+from diffeed.base.records import replace
+from diffeed.chain import kinematics
+from diffeed.chain.state import initial_state
+from diffeed.contact import near
+from diffeed.contact.candidates import search, slots
+from diffeed.contact.kept import keep_all
+from diffeed.forces.contacts import Contacts, contacts, pair_terms
+from diffeed.forces.rollers import border
+from diffeed.forces.terms import Step
+from diffeed.input.parts import normalise
+from diffeed.model.arrays import NEWTON
+from diffeed.model.build import build
+from diffeed.readings.snapshot import contact_on_bars, look, roller_track
 
 PAPER = {"thickness": 0.1, "width": 50.0, "density": 1e-6, "youngs_modulus": 2000.0}
 RADIUS, BAR = 6.0, 5.0
@@ -282,7 +286,7 @@ def test_bars_never_pay_for_the_smooth_skin(monkeypatch):
     def forbidden(*_):
         raise AssertionError("the smooth skin in a scene of bars")
 
-    monkeypatch.setattr(sweep, "piece_circle", forbidden)
+    monkeypatch.setattr(near, "piece_circle", forbidden)
 
     def trace(scene):
         model = build(scene)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffeed.smooth import divide, polar, powers, ramp
+from diffeed.base.smooth import divide, polar, powers, ramp
 
 
 def test_a_direction_has_the_derivative_of_root_and_quotient():

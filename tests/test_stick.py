@@ -20,13 +20,13 @@ from diffeed import (
     measures,
     stick,
 )
-from diffeed.candidates import search
-from diffeed.contact import keep_all
-from diffeed.contact_law import BRISTLE_LAG, SLIDES, Grip, Surface, stick_deflection, stick_friction
-from diffeed.model import build
-from diffeed.parts import normalise
-from diffeed.records import replace
-from diffeed.state import initial_state
+from diffeed.base.records import replace
+from diffeed.chain.state import initial_state
+from diffeed.contact.candidates import search
+from diffeed.contact.kept import keep_all
+from diffeed.input.parts import normalise
+from diffeed.model.build import build
+from diffeed.pair.law import BRISTLE_LAG, SLIDES, Grip, Surface, stick_deflection, stick_friction
 from diffeed.steppers import linear_euler
 
 G, FRICTION, REACH = 9810.0, 0.3, 2e-3

@@ -18,7 +18,7 @@ from test_optimize_cli import ROOT
 
 import diffeed
 from diffeed import measures
-from diffeed.verdict import Verdict
+from diffeed.readings.verdict import Verdict
 from optimize.asked import StudyError
 from optimize.terms import TERMS, Term
 from optimize.tolerance import latitude as latitude_of

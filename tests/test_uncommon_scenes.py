@@ -7,13 +7,13 @@ import pytest
 
 import diffeed
 from diffeed import measures
-from diffeed.model import build
-from diffeed.parts import normalise
-from diffeed.paths import PathError
-from diffeed.records import replace
-from diffeed.rollout import at_start
-from diffeed.snapshot import look
-from diffeed.state import initial_state
+from diffeed.base.records import replace
+from diffeed.chain.state import initial_state
+from diffeed.input.parts import normalise
+from diffeed.input.paths import PathError
+from diffeed.model.build import build
+from diffeed.readings.snapshot import look
+from diffeed.run.rollout import at_start
 
 FILM = {"thickness": 0.1, "width": 200.0, "density": 1e-6, "youngs_modulus": 3000.0, "structural_damping": 1e-4}
 

@@ -7,11 +7,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from diffeed.base.records import replace
 from diffeed.bench.timing import precision, timed
-from diffeed.examine import prepare
-from diffeed.parts import Scene, SinglePrecision, normalise
-from diffeed.records import replace
-from diffeed.rollout import simulate
+from diffeed.input.parts import Scene, SinglePrecision, normalise
+from diffeed.run.examine import prepare
+from diffeed.run.rollout import simulate
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096)
 QUICK_SIZES = (1, 4, 16, 64)

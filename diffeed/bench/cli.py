@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diffeed.session import SCENE, SET, load_sound, patiently, say, set_up, stoppable
-from diffeed.terminal import SETTINGS, Refusal, console, refusing
+from diffeed.base.terminal import SETTINGS, Refusal, console, refusing
+from diffeed.command.session import SCENE, SET, load_sound, patiently, say, set_up, stoppable
 
 if TYPE_CHECKING:
     from diffeed.bench.records import Front
-    from diffeed.parts import Scene
+    from diffeed.input.parts import Scene
 
 OUT = click.option(
     "--out", type=click.Path(path_type=Path), metavar="FOLDER", help="Write data and a picture into FOLDER."
@@ -287,8 +287,8 @@ def every(out: Path, only: tuple[str, ...], quick: bool, force: bool) -> None:
 
     A benchmark that FOLDER holds already is not made again: a run that was stopped goes on. One that fails is told, the others
     go on, and the exit status is 1."""
+    from diffeed.base.folders import OutputError, holding
     from diffeed.bench.together import run_all
-    from diffeed.folders import OutputError, holding
 
     with stoppable(), refusing(OutputError), holding(out):  # alone: two that measure at a time spoil each other's times
         failed = run_all(out, only, quick, force)
@@ -298,7 +298,7 @@ def every(out: Path, only: tuple[str, ...], quick: bool, force: bool) -> None:
 def _refuse_path(scene: "Scene", path: str, span: float) -> None:
     """Where the number may not go to either end of its span."""
     import diffeed
-    from diffeed.paths import PathError, get, put
+    from diffeed.input.paths import PathError, get, put
 
     with refusing(PathError):
         middle = get(scene, path)
@@ -467,7 +467,7 @@ def _front(
 @contextmanager
 def _draft(out: Path | None, files: tuple[str, ...], force: bool) -> Iterator[Path | None]:
     """Refuse early what could not be written; an unwritten folder leaves nothing."""
-    from diffeed.folders import OutputError, draft_of
+    from diffeed.base.folders import OutputError, draft_of
 
     with refusing(OutputError), draft_of(out, () if force else files) if out else nullcontext() as draft:
         yield draft

@@ -7,9 +7,10 @@ program with a zero for them is as long.
 from collections.abc import Callable
 from typing import Any
 
+from diffeed.base.records import replace
 from diffeed.bench.jaxprs import count_equations
 from diffeed.bench.timing import timed
-from diffeed.parts import (
+from diffeed.input.parts import (
     ArcGuide,
     CircleGuide,
     FixedRoller,
@@ -22,9 +23,8 @@ from diffeed.parts import (
     Sensor,
     normalise,
 )
-from diffeed.records import replace
-from diffeed.rollout import simulate
-from diffeed.scene_file import load_scene
+from diffeed.input.scene_file import load_scene
+from diffeed.run.rollout import simulate
 
 STEPS, DT = 200, 1e-4
 OBSERVERS = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")

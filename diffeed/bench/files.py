@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from diffeed.base.files import plain
+from diffeed.base.folders import write_all
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.records import BenchError, Front, read_front
-from diffeed.files import plain
-from diffeed.folders import write_all
-from diffeed.outputs import picture
+from diffeed.command.outputs import picture
 
 DATA = "bench.json"
 FRONT = ("front.png", "bench.csv", DATA)

@@ -13,11 +13,11 @@ from diffeed.bench.outcome import OBSERVE, Outcome, differences, outcome
 from diffeed.bench.records import Front, Reference, Row
 from diffeed.bench.settings import STEPS, Setting, knobs, power, sweep
 from diffeed.bench.timing import precision, timed
-from diffeed.examine import check, prepare
-from diffeed.parts import Scene, SinglePrecision, normalise
-from diffeed.paths import assign
-from diffeed.rollout import simulate
-from diffeed.scene_file import scene_text
+from diffeed.input.parts import Scene, SinglePrecision, normalise
+from diffeed.input.paths import assign
+from diffeed.input.scene_file import scene_text
+from diffeed.run.examine import check, prepare
+from diffeed.run.rollout import simulate
 from diffeed.steppers import DEFAULT, EXPLICIT
 
 FINER = 5.0

@@ -9,10 +9,10 @@ import numpy as np
 from jax import Array
 
 from diffeed.bench.timing import timed
-from diffeed.gradients import gradient_plan, value_and_gradient
-from diffeed.parts import Scene, normalise
-from diffeed.rollout import simulate
-from diffeed.trajectory import Trajectory
+from diffeed.gradients.modes import gradient_plan, value_and_gradient
+from diffeed.input.parts import Scene, normalise
+from diffeed.readings.trajectory import Trajectory
+from diffeed.run.rollout import simulate
 
 RUN, FORWARD, REVERSE = "run", "by one number, forward", "by every number, reverse"
 FRAMES = 2

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from diffeed.model import is_driven
-from diffeed.parts import Scene
-from diffeed.trajectory import Trajectory
+from diffeed.input.parts import Scene
+from diffeed.model.rollers import is_driven
+from diffeed.readings.trajectory import Trajectory
 
 MEASURES = {
     "lead": ("lead edge", "mm", "largest distance of a lead edge over the frames"),

@@ -15,12 +15,12 @@ from typing import Any
 from diffeed.bench.batch import batch
 from diffeed.bench.timing import timed
 from diffeed.bench.transport import transport
-from diffeed.packing import Packed, pack
-from diffeed.parts import Scene, normalise
-from diffeed.rollout import _simulate, plan
-from diffeed.session import set_up
+from diffeed.command.session import set_up
+from diffeed.input.packing import Packed, pack
+from diffeed.input.parts import Scene, normalise
+from diffeed.readings.trajectory import Trajectory
+from diffeed.run.rollout import _simulate, plan
 from diffeed.steppers import DEFAULT
-from diffeed.trajectory import Trajectory
 
 DT = 1e-4
 LONG_DT, FRAMES = 5e-4, 11

@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING, Any
 
+from diffeed.base.terminal import plain_table
 from diffeed.bench.machine import sentence
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.pareto import pareto
 from diffeed.bench.records import Front, Row
 from diffeed.bench.stability import CLASSES, CONTROLLED, RIGHT, WRONG
 from diffeed.bench.stability_scene import AXES
-from diffeed.terminal import plain_table
 
 if TYPE_CHECKING:
     from rich.console import Console

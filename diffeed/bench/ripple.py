@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from diffeed.bench.timing import timed
-from diffeed.check_records import make_scene
-from diffeed.examine import prepare
-from diffeed.parts import FixedRoller, Load, MovableRoller, Profile, Scene, Sheet, normalise
-from diffeed.rollout import simulate
+from diffeed.input.check_records import make_scene
+from diffeed.input.parts import FixedRoller, Load, MovableRoller, Profile, Scene, Sheet, normalise
+from diffeed.run.examine import prepare
+from diffeed.run.rollout import simulate
 
 BARS = (10, 20, 40, 80)
 SKINS = ("bars", "smooth")

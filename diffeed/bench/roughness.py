@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.records import replace
 from diffeed.bench.settings import Setting
-from diffeed.gradient_trust import fit, lead_edge_from
-from diffeed.parts import Profile, Scene, normalise
-from diffeed.paths import get, put
-from diffeed.records import replace
-from diffeed.rollout import LONGEST, simulate
+from diffeed.gradients.trust import fit, lead_edge_from
+from diffeed.input.parts import Profile, Scene, normalise
+from diffeed.input.paths import get, put
+from diffeed.run.rollout import LONGEST, simulate
 from diffeed.steppers import DEFAULT
 
 STEPS = (2e-4, 1e-4)

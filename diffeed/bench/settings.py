@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from diffeed.parts import Contact, Scene
-from diffeed.records import fields
-from diffeed.rollout import LONGEST
+from diffeed.base.records import fields
+from diffeed.input.parts import Contact, Scene
+from diffeed.run.rollout import LONGEST
 from diffeed.steppers import DEFAULT, ESTIMATING, METHODS
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)

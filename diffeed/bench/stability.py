@@ -14,15 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed.bench.stability_scene import AXES, BASE, vary
-from diffeed.causes import CAUSES
-from diffeed.examine import explicit_limit
-from diffeed.model import Model, build
-from diffeed.parts import Scene
-from diffeed.progress import begin
-from diffeed.rollout import go_on, simulate
-from diffeed.stacking import stack
+from diffeed.faults.causes import CAUSES
+from diffeed.input.parts import Scene
+from diffeed.input.stacking import stack
+from diffeed.model.arrays import Model
+from diffeed.model.build import build
+from diffeed.readings.trajectory import Resume
+from diffeed.run.examine import explicit_limit
+from diffeed.run.progress import begin
+from diffeed.run.rollout import go_on, simulate
 from diffeed.steppers import DEFAULT, EXPLICIT, METHODS
-from diffeed.trajectory import Resume
 
 RIGHT, WRONG = 0.1, 5.0
 """mm: largest distance of a node from the reference, over the frames: of a run that is right, of one that is plainly wrong."""

@@ -6,8 +6,8 @@ guide. Equal pulls at both ends stretch it without loading the nip.
 
 from typing import NamedTuple
 
-from diffeed.check_records import make_scene
-from diffeed.parts import Contact, FixedRoller, LineGuide, Load, MovableRoller, Scene, Sheet
+from diffeed.input.check_records import make_scene
+from diffeed.input.parts import Contact, FixedRoller, LineGuide, Load, MovableRoller, Scene, Sheet
 
 LENGTH, THICKNESS, WIDTH = 100.0, 0.1, 210.0  # mm
 RADIUS = 10.0  # mm

@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from diffeed.base.files import write_whole
+from diffeed.base.folders import OutputError, plain_errors
 from diffeed.bench import files
 from diffeed.bench.figures import lines
-from diffeed.files import write_whole
-from diffeed.folders import OutputError, plain_errors
-from diffeed.session import leave_at_once, say
+from diffeed.command.session import leave_at_once, say
 
 FIGURES = "figures.jsonl"
 

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from diffeed.check_records import make_scene
-from diffeed.parts import FixedRoller, LineGuide, MovableRoller, Scene, Sheet
+from diffeed.input.check_records import make_scene
+from diffeed.input.parts import FixedRoller, LineGuide, MovableRoller, Scene, Sheet
 
 PITCH = 100.0  # mm from nip to nip
 LENGTH, THICKNESS, RADIUS = 160.0, 0.2, 10.0

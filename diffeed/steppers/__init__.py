@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 from jax import Array
 
-from diffeed.contact import Kept
-from diffeed.forces import Contacts
-from diffeed.model import Model
-from diffeed.state import State
+from diffeed.chain.state import State
+from diffeed.contact.kept import Kept
+from diffeed.forces.contacts import Contacts
+from diffeed.model.arrays import Model
 from diffeed.steppers import extrapolated_euler, linear_euler, midpoint, runge_kutta
 from diffeed.steppers.extrapolated_euler import Ways
 

@@ -2,11 +2,11 @@
 
 from jax import Array
 
-from diffeed.bodies import spins
-from diffeed.model import Model
-from diffeed.records import replace
-from diffeed.state import State, mean_per_sheet
-from diffeed.system import Solution
+from diffeed.base.records import replace
+from diffeed.chain.state import State, mean_per_sheet
+from diffeed.chain.system import Solution
+from diffeed.contact.bodies import spins
+from diffeed.model.arrays import Model
 
 
 def advance_velocities(model: Model, state: State, a: Solution, h: Array) -> State:

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import jax
 from jax import Array
 
-from diffeed import stick
-from diffeed.contact import Kept
-from diffeed.forces import Contacts
-from diffeed.model import Model
-from diffeed.records import replace
-from diffeed.state import State
+from diffeed.base.records import replace
+from diffeed.chain.state import State
+from diffeed.contact import stick
+from diffeed.contact.kept import Kept
+from diffeed.forces.contacts import Contacts
+from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler
 
 

@@ -2,12 +2,16 @@
 
 from jax import Array
 
-from diffeed import chain_solve, stick
-from diffeed.contact import Kept
-from diffeed.forces import Contacts, Step, assemble, joint_stretch
-from diffeed.model import Model
-from diffeed.records import replace
-from diffeed.state import State
+from diffeed.base.records import replace
+from diffeed.chain import solve as chain_solve
+from diffeed.chain.state import State
+from diffeed.contact import stick
+from diffeed.contact.kept import Kept
+from diffeed.forces.assemble import assemble
+from diffeed.forces.contacts import Contacts
+from diffeed.forces.sheet import joint_stretch
+from diffeed.forces.terms import Step
+from diffeed.model.arrays import Model
 from diffeed.steppers.advance import advance_positions, advance_velocities
 
 

@@ -11,17 +11,21 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed import chain_solve, stick
-from diffeed.contact import Kept
-from diffeed.forces import Contacts, Step, assemble, closing_rate
-from diffeed.kinematics import Pose
-from diffeed.model import Model
-from diffeed.records import replace
-from diffeed.state import State, spread
+from diffeed.base.records import replace
+from diffeed.chain import solve as chain_solve
+from diffeed.chain.kinematics import Pose
+from diffeed.chain.state import State, spread
+from diffeed.chain.sums import from_mean
+from diffeed.chain.system import System
+from diffeed.contact import stick
+from diffeed.contact.kept import Kept
+from diffeed.forces.assemble import assemble
+from diffeed.forces.clamps import closing_rate
+from diffeed.forces.contacts import Contacts
+from diffeed.forces.terms import Step
+from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler, runge_kutta
 from diffeed.steppers.advance import advance_positions, advance_velocities
-from diffeed.sums import from_mean
-from diffeed.system import System
 
 RATES = ("vx", "vy", "rate", "travel_rate", "spin")
 PASSES = 5

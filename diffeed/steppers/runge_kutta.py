@@ -9,13 +9,17 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed import chain_solve, stick
-from diffeed.bodies import spins
-from diffeed.contact import Kept
-from diffeed.forces import Contacts, Step, assemble, joint_stretch
-from diffeed.model import Model
-from diffeed.records import replace
-from diffeed.state import State, mean_per_sheet
+from diffeed.base.records import replace
+from diffeed.chain import solve as chain_solve
+from diffeed.chain.state import State, mean_per_sheet
+from diffeed.contact import stick
+from diffeed.contact.bodies import spins
+from diffeed.contact.kept import Kept
+from diffeed.forces.assemble import assemble
+from diffeed.forces.contacts import Contacts
+from diffeed.forces.sheet import joint_stretch
+from diffeed.forces.terms import Step
+from diffeed.model.arrays import Model
 
 NODES = (0.0, 0.5, 0.5, 1.0)
 WEIGHTS = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from diffeed.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
-from diffeed.terminal import SETTINGS, Refusal, console, refusing
+from diffeed.base.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
+from diffeed.base.terminal import SETTINGS, Refusal, console, refusing
 
 SCENE = click.option("--scene", help="Another scene of the same parts (an improved one), instead of the study's.")
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 import diffeed
-from diffeed.names import hint
+from diffeed.base.names import hint
 from optimize import variables as free
 from optimize.asked import number_at
 from optimize.records import Moved

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from diffeed import measures
-from diffeed.files import write_whole
-from diffeed.folders import DRAFT, Lock, OutputError, plain_errors
-from diffeed.words import NAME
+from diffeed.base.files import write_whole
+from diffeed.base.folders import DRAFT, Lock, OutputError, plain_errors
+from diffeed.base.words import NAME
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen, joined
 

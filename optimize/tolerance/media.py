@@ -13,8 +13,8 @@ from typing import Any
 import jax.numpy as jnp
 
 import diffeed
-from diffeed.names import hint
-from diffeed.terminal import console, plain_table
+from diffeed.base.names import hint
+from diffeed.base.terminal import console, plain_table
 
 CLIMATES = {"dry": -1.0, "normal": 0.0, "humid": 1.0}
 """Name and number of the climates that a card gives."""

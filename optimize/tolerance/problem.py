@@ -11,7 +11,7 @@ from jax import Array
 from pydantic import ValidationError
 
 import diffeed
-from diffeed.names import nearest
+from diffeed.base.names import nearest
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems
 from optimize.records import Limit, Measured
 from optimize.study_file import read_table, sentence

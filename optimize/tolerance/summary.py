@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from diffeed import measures
-from diffeed.files import plain
+from diffeed.base.files import plain
 from optimize.asked import Asked
 from optimize.tolerance.contributions import Slopes
 from optimize.tolerance.draws import correlation, epsilons, normals, uniforms

@@ -9,8 +9,8 @@ import numpy as np
 
 from cases.scenes import DT, DURATION, FRAMES
 from cases.transforms import Outputs, map_numbers, outputs
-from diffeed.parts import Scene
-from diffeed.rollout import _simulate, plan
+from diffeed.input.parts import Scene
+from diffeed.run.rollout import _simulate, plan
 
 
 def shown(scene: Scene, dt: Any, method: str) -> Outputs:

@@ -14,9 +14,9 @@ import pytest
 
 import diffeed
 from diffeed import CircleGuide, Contact, FixedRoller, LineGuide, Load, Scene, Sheet
-from diffeed.causes import CAUSES
-from diffeed.parts import normalise
-from diffeed.rollout import Plan, _simulate
+from diffeed.faults.causes import CAUSES
+from diffeed.input.parts import normalise
+from diffeed.run.rollout import Plan, _simulate
 
 METHODS = diffeed.METHODS
 EXPLICIT = "runge_kutta"

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffeed.energy import Powers, energies, powers
-from diffeed.model import Model, build
-from diffeed.parts import Scene
-from diffeed.snapshot import look
-from diffeed.state import State
+from diffeed.chain.state import State
+from diffeed.forces.energy import Powers, energies, powers
+from diffeed.input.parts import Scene
+from diffeed.model.arrays import Model
+from diffeed.model.build import build
+from diffeed.readings.snapshot import look
 
 
 class Ledger(NamedTuple):

@@ -23,8 +23,8 @@ from diffeed import (
     Scene,
     Sheet,
 )
-from diffeed.parts import normalise
-from diffeed.records import replace
+from diffeed.base.records import replace
+from diffeed.input.parts import normalise
 
 METHODS = diffeed.METHODS
 ORDER = {"linear_euler": 1, "extrapolated_euler": 2, "midpoint": 2, "runge_kutta": 4}

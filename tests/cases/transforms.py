@@ -10,9 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from diffeed.parts import Clamp, LineGuide, Load, Motion, Profile, Scene, Sheet
-from diffeed.records import fields, replace
-from diffeed.trajectory import GuideTrack, SheetTrack, Trajectory
+from diffeed.base.records import fields, replace
+from diffeed.input.parts import Clamp, LineGuide, Load, Motion, Profile, Scene, Sheet
+from diffeed.readings.trajectory import GuideTrack, SheetTrack, Trajectory
 
 POINTS = ("lead", "center", "start", "end", "position", "pivot", "nodes")
 VECTORS = ("direction", "velocity", "velocities", "displacement", "gravity", "push")

@@ -20,7 +20,11 @@ import atheris
 
 import jax
 with atheris.instrument_imports(include=["diffeed"]):
-    from diffeed import check_records, check_rules, check_values, scene_file, toml_text
+    from diffeed.input import check_records
+    from diffeed.input import check_rules
+    from diffeed.input import check_values
+    from diffeed.input import scene_file
+    from diffeed.base import toml_text
 from tests.search.invalid import judged_bytes
 
 jax.config.update("jax_enable_x64", True)
@@ -57,8 +61,8 @@ def command(minutes: float, keep: Path | None, memory: int) -> None:
 
 def _dictionary() -> str:
     """Every field, section and word that a scene file may hold, for libFuzzer to put in."""
-    from diffeed.parts import SECTIONS
-    from diffeed.records import fields
+    from diffeed.base.records import fields
+    from diffeed.input.parts import SECTIONS
 
     words = {*SECTIONS, "true", "false", "nan", "inf", "[[", "]]", "1e308", '\\"', "times", "values"}
     for kinds in SECTIONS.values():

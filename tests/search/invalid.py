@@ -15,10 +15,10 @@ from typing import Any
 import click
 
 import diffeed
-from diffeed import scene_file
-from diffeed.check_records import SceneError, check_records
-from diffeed.parts import Scene
-from diffeed.scene_file import load_scene
+from diffeed.input import scene_file
+from diffeed.input.check_records import SceneError, check_records
+from diffeed.input.parts import Scene
+from diffeed.input.scene_file import load_scene
 from optimize.asked import StudyError
 from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, read_table

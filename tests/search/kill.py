@@ -21,7 +21,7 @@ from typing import Any
 import click
 import numpy as np
 
-from diffeed.scene_file import load_scene
+from diffeed.input.scene_file import load_scene
 from tests.search.seeds import ROOT
 
 SCENE = (ROOT / "tests/search/strip.toml").read_text("utf-8")

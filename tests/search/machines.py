@@ -23,9 +23,9 @@ from diffeed import (
     Scene,
     Sheet,
 )
-from diffeed.parts import normalise
-from diffeed.paths import numbers, put
-from diffeed.records import replace
+from diffeed.base.records import replace
+from diffeed.input.parts import normalise
+from diffeed.input.paths import numbers, put
 
 Generator = np.random.Generator
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from diffeed import ArcGuide, CircleGuide, LineGuide, Scene
-from diffeed.trajectory import Trajectory
+from diffeed.readings.trajectory import Trajectory
 
 DEEPEST, SHALLOWEST, BEHIND = 3.0, 0.25, 1.0
 SLACK = 1.6

@@ -17,10 +17,10 @@ import numpy as np
 
 import diffeed
 from diffeed import tuning
-from diffeed.agreement import FINER, TOLD
-from diffeed.causes import CAUSES
-from diffeed.parts import Scene
-from diffeed.trajectory import Trajectory
+from diffeed.faults.causes import CAUSES
+from diffeed.input.parts import Scene
+from diffeed.readings.agreement import FINER, TOLD
+from diffeed.readings.trajectory import Trajectory
 from tests.search.machines import DURATION, MACHINES
 from tests.search.oracle import complaints
 

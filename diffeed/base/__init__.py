@@ -1,0 +1,1 @@
+"""What knows nothing of sheets: text, files, folders, records, safe maths."""

@@ -1,0 +1,1 @@
+"""What the commands share: set up, reports, files of a run."""

@@ -1,0 +1,232 @@
+"""What a run came to, as plain data (for a file) and as tables (for a terminal of 80 columns, or a pipe)."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from diffeed import measures
+from diffeed.base.files import plain
+from diffeed.base.records import fields
+from diffeed.base.terminal import plain_table
+from diffeed.input.parts import Scene
+from diffeed.readings.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
+"""What must be observed for a report."""
+COLORS = {"passed": "bold green", "late": "bold yellow"}
+COMPARED = {"slip_rms": "slip RMS (mm/s)", "force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
+"""Of each roller, before and after."""
+FLAT = 1e-7
+"""1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""
+NEAREST = 8
+"""Gaps in the table; the rest are in the summary."""
+CREEP = (
+    "Slip: roller surface minus sheet. Creep floor: the slip that the regularised friction needs to carry the load; "
+    "slip of that size counts as sticking."
+)
+SAME = 1e-3
+"""Of a value: less is no change in a comparison."""
+PRESSED = "Negative: pressed into the part."
+
+
+def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
+    """Verdict and measures of a run as words, numbers and None (not a number, or never)."""
+    return plain(
+        {
+            "verdict": measures.verdict(scene, trajectory)._asdict(),
+            "rollers": _rollers(scene, trajectory),
+            "sheets": {name: _sheet(scene, trajectory, name) for name in sorted(scene.sheets)},
+            "smallest_gaps": _gaps(trajectory),
+            "energy": measures.energy_balance(scene, trajectory),
+        }
+    )
+
+
+def print_report(console: "Console", summary: dict[str, Any]) -> None:
+    """The verdict in the first line, then rollers, arrivals, sheets, gaps, energy, and what it took."""
+    status = summary["verdict"]["status"]
+    console.print(_verdict_line(summary["verdict"]), style=COLORS.get(status, "bold red"))
+    for title, note, table in (
+        ("Rollers, over the time in which they touch a sheet", CREEP, _roller_table(summary["rollers"])),
+        ("Arrivals of the sheets' edges", "", _arrival_table(summary["sheets"])),
+        ("Sheets", "", _sheet_table(summary["sheets"])),
+        ("Smallest gaps between sheets and parts", PRESSED, _gap_table(summary["smallest_gaps"])),
+        ("Energy balance", "", _energy_table(summary["energy"])),
+    ):
+        if table.row_count:
+            console.print(f"\n{title}", style="bold")
+            console.print(table)
+            console.print(note, end="\n" if note else "", style="dim")
+    console.print(f"\n{_took(summary['run'])}")
+
+
+def print_changes(console: "Console", before: dict[str, Any], after: dict[str, Any]) -> None:
+    """What differs between two summaries by more than 0.1 %."""
+    table = plain_table("", "before", "after", "change")
+    for name, old, new in _compared(before, after):
+        if isinstance(old, str) or isinstance(new, str):
+            if old != new:
+                table.add_row(name, old, new, "")
+        elif (old is None) != (new is None):
+            table.add_row(name, _digits(old), _digits(new), "")
+        elif old is not None and abs(new - old) > SAME * max(abs(old), abs(new)):
+            table.add_row(name, _digits(old), _digits(new), f"{new - old:+.3g}")
+    console.print(f"\nBefore and after, what differs by more than {100 * SAME:g} %", style="bold")
+    console.print(table if table.row_count else "nothing")
+    lengths = [summary["run"]["simulated"] for summary in (before, after)]
+    if abs(lengths[1] - lengths[0]) > SAME * max(lengths):
+        console.print(
+            f"The runs are not of one length: {lengths[0]:.4g} s before, {lengths[1]:.4g} s after. Means, peaks and sums are "
+            "of what each of them came to."
+        )
+
+
+# --- data -----------------------------------------------------------------------------------------------------------
+
+
+def _rollers(scene: Scene, trajectory: Trajectory) -> dict[str, dict[str, Any]]:
+    nips, floors = trajectory.observed["nips"], measures.creep_floor(scene, trajectory)
+    return {
+        name: {f.name: getattr(stats, f.name) for f in fields(stats)} | {"creep_floor": floors[name]}
+        for name, stats in nips.items()
+    }
+
+
+def _sheet(scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Any]:
+    seen = trajectory.observed
+    feed = seen["feed"][name]
+    return {
+        "arrivals": seen["arrivals"][name],
+        "largest_curvature": seen["curvature"][name],
+        "fed": feed.fed,
+        "commanded": feed.commanded,
+        "progress": measures.progress(scene, trajectory)[name] if feed.commanded else None,
+        "longest_stall": feed.longest_stall,
+    }
+
+
+def _gaps(trajectory: Trajectory) -> dict[str, Any]:
+    gaps = trajectory.observed["gaps"]
+    found = {f"{section}.{name}": value.gap for section in sorted(gaps) for name, value in gaps[section].items()}
+    return dict(sorted(found.items(), key=lambda item: float(item[1])))
+
+
+def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Name, value before and value after, of what both runs have."""
+    yield "verdict", before["verdict"]["status"], after["verdict"]["status"]
+    for name in after["sheets"]:
+        old, new = before["sheets"].get(name, {}), after["sheets"][name]
+        yield f"{name}: fed (mm)", old.get("fed"), new["fed"]
+        yield f"{name}: largest curvature (1/mm)", old.get("largest_curvature"), new["largest_curvature"]
+        for sensor, times in new["arrivals"].items():
+            for edge in ("lead", "tail"):
+                yield (
+                    f"{name}: {edge} edge at {sensor} (s)",
+                    old.get("arrivals", {}).get(sensor, {}).get(edge),
+                    times[edge],
+                )
+    for name in after["rollers"]:
+        old, new = before["rollers"].get(name, {}), after["rollers"][name]
+        for key, meaning in COMPARED.items():
+            yield f"{name}: {meaning}", old.get(key), new[key]
+
+
+# --- tables ---------------------------------------------------------------------------------------------------------
+
+
+def _verdict_line(verdict: dict[str, Any]) -> str:
+    words = [verdict["reason"]]
+    if verdict["time"] is not None and verdict["status"] != "failed":
+        words.append(f"at {verdict['time']:.4g} s")
+    words += [verdict["place"]] if verdict["place"] else []
+    return f"{verdict['status'].upper()}: {', '.join(words)}"
+
+
+def _roller_table(rollers: dict[str, Any]) -> "Table":
+    columns = {
+        "contact\ns": "contact_time",
+        "slip\nmean\nmm/s": "slip_mean",
+        "slip\nRMS\nmm/s": "slip_rms",
+        "creep\nfloor\nmm/s": "creep_floor",
+        "normal\nmean\nN": "force_mean",
+        "normal\npeak\nN": "force_peak",
+        "friction\nmean\nN": "friction_mean",
+        "torque\nmean\nN mm": "torque_mean",
+    }
+    table = plain_table("roller", *columns)
+    for name, row in rollers.items():
+        touched = bool(row["contact_time"])
+        values = [_text(row[key]) for key in columns.values()] if touched else ["never", *"-" * (len(columns) - 1)]
+        table.add_row(name, *values)
+    return table
+
+
+def _arrival_table(sheets: dict[str, Any]) -> "Table":
+    table = plain_table("sheet at sensor", "lead edge\ns", "tail edge\ns")
+    for sheet, row in sheets.items():
+        for sensor, times in row["arrivals"].items():
+            table.add_row(f"{sheet} at {sensor}", *(_text(times[edge], "never") for edge in ("lead", "tail")))
+    return table
+
+
+def _sheet_table(sheets: dict[str, Any]) -> "Table":
+    table = plain_table(
+        "sheet",
+        "largest\ncurvature\n1/mm",
+        "smallest\nradius\nmm",
+        "fed\nmm",
+        "rollers\nturned\nmm",
+        "fed per\nturned",
+        "longest\nstall\ns",
+    )
+    for name, row in sheets.items():
+        curvature = row["largest_curvature"]
+        radius = 1.0 / curvature if (curvature or 0.0) > FLAT else None
+        values = (radius, row["fed"], row["commanded"], row["progress"], row["longest_stall"])
+        table.add_row(name, "-" if curvature is None else f"{curvature:.3g}", *(_text(v) for v in values))
+    return table
+
+
+def _gap_table(gaps: dict[str, Any]) -> "Table":
+    table = plain_table("part", "mm")
+    for name, gap in list(gaps.items())[:NEAREST]:
+        table.add_row(name, _text(gap))
+    if len(gaps) > NEAREST:
+        table.add_row(f"and {len(gaps) - NEAREST} parts further away", "")
+    return table
+
+
+def _energy_table(energy: dict[str, Any]) -> "Table":
+    table = plain_table("", "N mm", "share")
+    work = energy["work of drives"]
+    for name, value in energy.items():
+        share = "" if not work or value is None else f"{100.0 * value / work:.1f} %"
+        table.add_row(name, _text(value), share)
+    return table
+
+
+def _took(run: dict[str, Any]) -> str:
+    return (
+        f"{run['scene']}: {run['simulated']:.4g} s in {run['steps']} steps of {run['dt']:.4g} s "
+        f"({run['method']}, {run['precision']}); took {run['compile_seconds']:.1f} s to prepare and compile, "
+        f"{run['run_seconds']:.1f} s to run.\n"
+        f"The steps leave an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles or bounces"
+    )
+
+
+def _digits(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _text(value: float | None, missing: str = "-") -> str:
+    """Four digits, at most three of them decimals."""
+    if value is None:
+        return missing
+    if abs(value) >= 1e5:
+        return f"{value:.1e}"
+    whole = len(str(int(abs(value))))
+    text = f"{value:.{max(0, min(3, 4 - whole))}f}"
+    return text if float(text) else "0"

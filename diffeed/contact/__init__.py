@@ -1,0 +1,1 @@
+"""Which bodies are near and what they do: the sweep over pairs, its candidates, friction with a memory."""

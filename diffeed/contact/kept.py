@@ -1,0 +1,164 @@
+"""The bodies that features are held against: all of them, or a few nearby ones."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.model.arrays import Arcs, Lines, Model
+from diffeed.pair.law import Surface
+
+DEEPEST = 3.0
+"""mm: a bar axis further inside a roller or circle guide than this (or than half its radius) went through it."""
+SHALLOWEST = 0.25
+"""mm that a bar axis may always lie in a circle, a tip of radius 0 too."""
+DEEP_IN_GUIDES = 0.75
+"""Of the depth of a guide, behind which it lets go: a bar axis further behind its face is on the way through."""
+
+
+class Kept(NamedTuple):
+    """The bodies that each feature is held against: all of them, (bodies, 1), or a few nearby ones, (slots, features).
+
+    An index of None keeps a family whole. Rollers are the first circles; `travel` and `spin` say how a circle moves.
+    """
+
+    circle_index: Array | None
+    line_index: Array | None
+    arc_index: Array | None
+    radius: Array
+    active: Array
+    travel_x: Array  # unit direction of a movable roller's travel, 0 for all other circles
+    travel_y: Array
+    spin_lever: Array  # radius of a freely turning roller, 0 for all other circles
+    lines: Lines | None  # None: there are none, or they are not looked at
+    arcs: Arcs | None
+    surface: Surface
+    allowed: Array  # mm that a bar axis may lie inside
+    approach: Array  # mm that a sheet may come nearer in one step
+    pair_index: tuple[Any, Any]  # rollers of the pairs that are looked at, (pairs,) or (movable, partners)
+    pair_surface: Surface
+    slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
+    has_slot: Array | None  # and whether one does
+
+    @property
+    def n_circles(self) -> int:
+        """Rows that hold circles."""
+        return self.radius.shape[0]
+
+
+def pick(values: Array, index: Array | None) -> Array:
+    """(bodies,) -> (bodies, 1) or (slots, features)."""
+    return values[:, None] if index is None else values[index]
+
+
+def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
+    """`pick` for several at once: one gather instead of many."""
+    return tuple(v[:, None] for v in values) if index is None else tuple(jnp.stack(values)[:, index])
+
+
+def kept_family(family: Any, index: Array | None) -> Any:
+    """`pick` for every value of a family of guides."""
+    return jax.tree.map(lambda v: pick(v, index), family)
+
+
+def in_rows(families: list[Any]) -> Any:
+    """Families of bodies one after the other: (bodies, 1) or (slots, features) each."""
+    if len(families) == 1:
+        return families[0]
+
+    def joined(*parts: Array) -> Array:
+        width = max(v.shape[1] for v in parts)
+        return jnp.concatenate([jnp.broadcast_to(v, (v.shape[0], width)) for v in parts])
+
+    return jax.tree.map(joined, *families)
+
+
+def keep_all(model: Model) -> Kept:
+    """Every body against every feature."""
+    return keep(model, None, None, None)
+
+
+def keep_rollers(model: Model) -> Kept:
+    """Every roller against every feature, and no guide: half the work or less, for who asks about nips."""
+    whole, n = keep_all(model), model.rollers.n
+    fields = ("radius", "active", "travel_x", "travel_y", "spin_lever")
+    cut = {name: getattr(whole, name)[:n] for name in fields}
+    surface, allowed, approach = jax.tree.map(lambda v: v[:n], (whole.surface, whole.allowed, whole.approach))
+    return whole._replace(lines=None, arcs=None, surface=surface, allowed=allowed, approach=approach, **cut)
+
+
+def allowed_in_circles(radius: Array) -> Array:
+    """mm that a bar axis may lie inside circles."""
+    return jnp.maximum(jnp.minimum(DEEPEST, 0.5 * radius), SHALLOWEST)
+
+
+def allowed_depths(model: Model) -> Array:
+    """(bodies,) mm that a bar axis may lie inside: deeper, the sheet is on its way to the other side."""
+    behind = [DEEP_IN_GUIDES * guides.faces.depth for guides in (model.lines, model.arcs)]
+    return jnp.concatenate([allowed_in_circles(model.circles.radius), *behind])
+
+
+def allowed_approaches(model: Model) -> Array:
+    """(bodies,) mm that a sheet may come nearer in one step: half of what takes it out of a body on the other side, so that
+    it is seen inside. That is the depth of a guide, and the way to the centre and as far beyond as an axis may lie in a
+    small circle; in a large one it is seen to be too deep before."""
+    circles = jnp.minimum(0.5 * (model.circles.radius + allowed_in_circles(model.circles.radius)), 0.5 * DEEPEST)
+    return jnp.concatenate([circles, 0.5 * allowed_depths(model)[model.circles.radius.shape[0] :]])
+
+
+def keep(
+    model: Model, circles: Array | None, lines: Array | None, arcs: Array | None, pairs: Array | None = None
+) -> Kept:
+    """The bodies of the given indices, (slots, features) each, and of each movable roller the given partners."""
+    rollers, n = model.rollers, len(model.circle_names)
+    still = jnp.zeros((n - rollers.n_movable,))
+    levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
+    n_lines, c = len(model.lines.names), n
+
+    def surface(values: Array) -> Array:
+        parts = [(values[:c], circles), (values[c : c + n_lines], lines), (values[c + n_lines :], arcs)]
+        return in_rows([pick(v, index) for v, index in parts if v.shape[0]] or [pick(values, None)])
+
+    slot = has_slot = None
+    if circles is not None:
+        looked_up = n if model.sticks[0] else rollers.n
+        hot = circles[None] == jnp.arange(looked_up, dtype=circles.dtype)[:, None, None]
+        slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
+    pair_index, pair_surface = model.pair_index, model.pair_surface
+    if pairs is not None:
+        partner, which = (jnp.take_along_axis(jnp.asarray(v), pairs, axis=1) for v in model.pairs_by_roller)
+        mine = jnp.broadcast_to(jnp.arange(rollers.n_movable)[:, None], partner.shape)
+        pair_index, pair_surface = (mine, partner), jax.tree.map(lambda v: v[which], pair_surface)
+    return Kept(
+        circle_index=circles,
+        line_index=lines,
+        arc_index=arcs,
+        radius=pick(model.circles.radius, circles),
+        active=pick(model.circles.active, circles),
+        travel_x=pick(jnp.concatenate([rollers.dir_x, still]), circles),
+        travel_y=pick(jnp.concatenate([rollers.dir_y, still]), circles),
+        spin_lever=pick(levers, circles),
+        lines=kept_family(model.lines, lines) if model.lines.names else None,
+        arcs=kept_family(model.arcs, arcs) if model.arcs.names else None,
+        surface=jax.tree.map(surface, model.surface),
+        allowed=surface(allowed_depths(model)),
+        approach=surface(allowed_approaches(model)),
+        pair_index=pair_index,
+        pair_surface=pair_surface,
+        slot=slot,
+        has_slot=has_slot,
+    )
+
+
+def by_circle(kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | int = 0) -> Array:
+    """(k, kinds, rows, features) of circles -> (k, which, features): of one kind each, the row of a circle or the slot that
+    holds it. Rollers are the first; other circles can be asked for only where circles stick."""
+    rows = values.shape[2]
+    flat = values.reshape(values.shape[0], -1, values.shape[3])
+    if kept.slot is None or kept.has_slot is None:
+        return flat[:, rows * kind + which]
+    offset = jnp.asarray(np.broadcast_to(rows * kind, which.shape)[:, None], kept.slot.dtype)
+    held = jnp.take_along_axis(flat, (offset + kept.slot[which])[None], axis=1)
+    return jnp.where(kept.has_slot[which], held, 0.0)

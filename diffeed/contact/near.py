@@ -1,0 +1,147 @@
+"""Where features and bodies are closest, and how fast the body's surface moves there. Geometry from `diffeed.pair`.
+
+To add a guide shape: give it a point-to-shape function in `pair/shapes.py`, posed arrays in `model` and `bodies.py`, and one more
+entry in `guides_near` and in `keep`; law, sums and solver do not change.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.contact.bodies import Bodies, Rigid
+from diffeed.contact.features import Features, Place, blend
+from diffeed.contact.kept import Kept, in_rows, kept_family, picked
+from diffeed.model.arrays import Model
+from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
+from diffeed.pair.skin import Pieces, piece_circle, touched
+
+
+class Closest(NamedTuple):
+    """Geometry of pairs, (bodies, features)."""
+
+    gap: Array  # mm, surface to surface, negative in contact
+    nx: Array  # normal into the sheet; the tangent is (-ny, nx)
+    ny: Array
+    weight: Array  # 0..1: share of the contact that this pair carries
+    places: tuple[Place, ...]  # on each bar that the pair pushes
+    u_n: Array  # mm/s, speed of the body's surface along the normal and the tangent
+    u_t: Array
+    lever: Array  # mm that the foot runs per radian: R + t/2 where a face lies on a circle, 0 at a round end
+
+
+def nearest(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    families = []
+    if kept.n_circles:
+        families.append(circles_near(model, rows, world, kept))
+    if kept.lines is not None or kept.arcs is not None:
+        families.append(guides_near(model, rows, world, kept))
+    return in_rows(families)
+
+
+def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """The skin against rollers, circle guides and tips."""
+    rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
+    half_thickness = rows[-1].half_thickness
+    reach = kept.radius + half_thickness
+    if len(rows) == 1:
+        (row,) = rows
+        near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
+        places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
+    else:
+        near = piece_circle(_pieces(model, *rows), rigid.x, rigid.y, kept.radius)
+        places, lever = _places(model, rows, near.u), near.run * reach
+    return Closest(
+        gap=near.gap - half_thickness,
+        nx=near.nx,
+        ny=near.ny,
+        weight=near.weight * kept.active,
+        places=places,
+        u_n=near.nx * rigid.vx + near.ny * rigid.vy,
+        u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
+        lever=lever,
+    )
+
+
+def _chain(model: Model, row: Features) -> Chain:
+    ahead, behind = ((jnp.roll(row.c, k, axis=1), jnp.roll(row.s, k, axis=1)) for k in (1, -1))
+    layout = model.layout
+    ends = (layout.first_feature[None, :], layout.last_feature[None, :], layout.tail[None, :])
+    return Chain(row.x, row.y, row.c, row.s, row.half_length, ahead, behind, *ends)
+
+
+def _pieces(model: Model, front: Features, behind: Features) -> Pieces:
+    """The curve at each node, between the middles of the bars in front and behind; at lead and tail from the node itself."""
+    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
+    half = jnp.where(lead | tail, -0.5, -1.0) * front.half_length
+    out, back = jnp.where(lead, front.half_length, 0.0), half
+    return Pieces(
+        x=front.x + out * front.c,
+        y=front.y + out * front.s,
+        first_x=back * front.c,
+        first_y=back * front.s,
+        second_x=back * behind.c,
+        second_y=back * behind.s,
+        lead=lead,
+        tail=tail,
+    )
+
+
+def _places(model: Model, rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
+    """Where the point u of the smooth skin's pieces hangs on the bar in front and on the bar behind."""
+    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
+    found = touched(u, rows[0].half_length, rows[1].half_length, lead, tail)
+    return tuple(Place(f.share, f.arm * row.c, f.arm * row.s) for f, row in zip(found, rows, strict=True))
+
+
+def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """End circles, or points of the smooth skin, against line guides and arc guides."""
+    places = _samples(model, rows)
+    px, py = _points(rows, places)
+    faced, faces, moving = [], [], world.guide_motion
+    if kept.lines is not None:
+        lines = kept.lines if moving is None else kept_family(world.lines, kept.line_index)
+        faced.append(point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length))
+        faces.append(lines.faces)
+    if kept.arcs is not None:
+        arcs = kept.arcs if moving is None else kept_family(world.arcs, kept.arc_index)
+        mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
+        faced.append(point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
+        faces.append(arcs.faces)
+    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces)), None
+    if moving is not None:
+        families = ((kept.lines, moving.lines, kept.line_index), (kept.arcs, moving.arcs, kept.arc_index))
+        motion = in_rows([kept_family(moved, index) for guides, moved, index in families if guides is not None])
+    return _end_circles(rows, places, near, motion)
+
+
+def _samples(model: Model, rows: tuple[Features, ...]) -> tuple[Place, ...]:
+    """The points of the sheets that guides feel, (1, features): the nodes, or the middles of the smooth skin's pieces and
+    the sheets' ends."""
+    if len(rows) == 1:
+        (row,) = rows
+        arm = row.end * row.half_length
+        return (Place(None, arm * row.c, arm * row.s),)
+    middle = np.where(model.layout.first_feature, 0.0, np.where(model.layout.tail, 1.0, 0.5))
+    return _places(model, rows, jnp.asarray(middle, rows[0].x.dtype)[None, :])
+
+
+def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Array, Array]:
+    x = [row.x + place.arm_x for row, place in zip(rows, places, strict=True)]
+    y = [row.y + place.arm_y for row, place in zip(rows, places, strict=True)]
+    return blend(places, x), blend(places, y)
+
+
+def _end_circles(rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None) -> Closest:
+    """Circles around points of the sheets against guides; a moving guide lends its surface speed at the touched point."""
+    u_n = u_t = zero = jnp.zeros_like(near.gap)
+    half_thickness = rows[-1].half_thickness
+    if motion is not None:
+        px, py = _points(rows, places)
+        rx, ry = px - half_thickness * near.nx - motion.x, py - half_thickness * near.ny - motion.y
+        ux, uy = motion.vx - motion.w * ry, motion.vy + motion.w * rx
+        u_n, u_t = near.nx * ux + near.ny * uy, near.nx * uy - near.ny * ux
+    places = jax.tree.map(lambda v: jnp.broadcast_to(v, zero.shape), places)
+    return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, zero)

@@ -1,0 +1,143 @@
+"""Tangential deflections of sticking contacts: who holds them, what a pair feels of them, how they move on.
+
+The deflection on a roller, a circle guide or a tip belongs to the sheet and that circle: one contact, which wanders from
+bar to bar. On line and arc guides it belongs to the feature (an end circle touches one face at a time, and guides that
+join hand it on). All stand in one row, over the stick displacement of the set: circles by sheets, then features; only
+where some set of the kind sticks. A scene in which none does has no row (None) and the program that it had before.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.base.records import replace
+from diffeed.base.smooth import divide
+from diffeed.chain.kinematics import Pose
+from diffeed.chain.state import State, initial_grip
+from diffeed.chain.system import Solution
+from diffeed.contact.features import blend, features, laid_out
+from diffeed.contact.kept import Kept, by_circle, pick, picked
+from diffeed.contact.sweep import Pairs
+from diffeed.model.arrays import Model
+from diffeed.pair.law import SLIDES, Grip, stick_deflection
+
+
+def fitted(model: Model, state: State) -> State:
+    """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
+    wanted = initial_grip(model)
+    fits = jax.tree.map(jnp.shape, state.grip) == jax.tree.map(jnp.shape, wanted)
+    return state if fits else replace(state, grip=wanted)
+
+
+def of_pairs(
+    model: Model, grip: Array | None, kept: Kept, ahead: Array | float, pressed: Array | None = None
+) -> Grip | None:
+    """What each kept pair feels: (rows, features). `ahead` (s) is the length of an implicit step, else 0."""
+    if grip is None:
+        return None
+    n_features, n = model.layout.tail.shape[0], kept.n_circles
+    others = kept.surface.stiffness.shape[0] - n
+    on_circles, on_faces = jnp.split(grip, [model.grips[0]])
+    rows = []
+    if n:
+        rows.append(_at_circles(model, on_circles, kept) if model.sticks[0] else jnp.zeros((n, n_features)))
+    if others:
+        row = on_faces if model.sticks[1] else jnp.zeros((n_features,))
+        rows.append(jnp.broadcast_to(row[None, :], (others, n_features)))
+    return Grip(jnp.concatenate(rows), ahead, pressed)
+
+
+def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
+    n_sheets, n_features = len(model.layout.names), model.layout.tail.shape[0]
+    table, index = on_circles.reshape(-1, n_sheets), kept.circle_index
+    if n_sheets == 1:
+        return jnp.broadcast_to(pick(table[:, 0], index)[: kept.n_circles], (kept.n_circles, n_features))
+    owner = np.argmax(model.layout.sheet_of_feature, axis=1)
+    return table[: kept.n_circles, owner] if index is None else table[index, owner[None, :]]
+
+
+def _gather(model: Model, pairs: Pairs, kept: Kept, values: tuple[Array, ...]) -> Array:
+    """(values, deflections): each value summed over the sticking pairs that share a deflection."""
+    whole = jnp.stack([jnp.where(kept.surface.stick, v, 0.0) for v in values])
+    n, found = kept.n_circles, []
+    if model.sticks[0]:
+        own = jnp.asarray(model.layout.sheet_of_feature, whole.dtype)
+        sums = by_circle(kept, whole[:, None, :n], np.arange(len(model.circle_names))) @ own
+        found.append(sums.reshape(len(values), -1))
+    if model.sticks[1]:
+        found.append(jnp.sum(whole[:, n:], axis=1))
+    return jnp.concatenate(found, axis=1)
+
+
+def pull(model: Model, pairs: Pairs, slide: Array, kept: Kept) -> tuple[Array, Array]:
+    """1/s, how fast each deflection is dragged along at the sliding speeds `slide` (mm/s), the mean over its pairs by their
+    normal force; and whether any force presses there at all."""
+    force = pairs.touch.force
+    pressed, dragged = _gather(model, pairs, kept, (force, force * slide / kept.surface.stick_displacement))
+    return divide(dragged, pressed), pressed > 0
+
+
+def moved(grip: Array, rate: Array, pressed: Array, h: Array | float) -> Array:
+    """Deflections after a time h (s): bounded where the contact slides, none where nothing presses."""
+    return jnp.where(pressed, jnp.clip(grip + h * rate, -SLIDES, SLIDES), 0.0)
+
+
+def advance(model: Model, grip: Array | None, pairs: Pairs | None, a: Solution, h: Array, kept: Kept) -> Array | None:
+    """Deflections at the end of an implicit step: dragged along at the sliding speeds that the step ends with."""
+    if grip is None or pairs is None:
+        return grip
+    slide = pairs.v_t + h * sliding_acceleration(model, pairs, a, kept)
+    return moved(grip, *pull(model, pairs, slide, kept), h)
+
+
+def slope(model: Model, grip: Array | None, pairs: Pairs | None, h: Array, kept: Kept) -> Array | None:
+    """Time derivative of the deflections, for an explicit step of length h, whose end is then `bounded`; where nothing
+    presses they fade within a few steps."""
+    if grip is None or pairs is None:
+        return grip
+    rate, pressed = pull(model, pairs, pairs.v_t, kept)
+    return jnp.where(pressed, rate, -grip / h)
+
+
+def bounded(grip: Array | None) -> Array | None:
+    """What an explicit step has carried past the bound, brought back."""
+    return None if grip is None else jnp.clip(grip, -SLIDES, SLIDES)
+
+
+def pressed_only(model: Model, grip: Array | None, pairs: Pairs | None, kept: Kept) -> Array | None:
+    """The deflections of what touches; none where nothing presses."""
+    if grip is None or pairs is None:
+        return grip
+    return moved(grip, *pull(model, pairs, jnp.zeros_like(pairs.v_t), kept), 0.0)
+
+
+def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
+    """The deflections that hold the friction of `pairs`, which the regularised law gave."""
+    surface = kept.surface
+    coefficient = surface.friction
+    if surface.static_excess is not None:
+        coefficient = coefficient * (1.0 + surface.static_excess)
+    limit = coefficient * features(model, at)[-1].friction_factor * pairs.touch.force
+    friction, most = _gather(model, pairs, kept, (pairs.touch.friction, limit))
+    return stick_deflection(divide(friction, most))
+
+
+def sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
+    """(rows, features), mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
+    rows = zip(laid_out(model, (a.x, a.y, a.w)), pairs.levers, strict=True)
+    gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])
+    if not (model.n_border and kept.n_circles):
+        return gained
+    rollers, n = model.rollers, kept.n_circles
+    m, f, rest = rollers.n_movable, rollers.n_free, len(model.circle_names) - rollers.n
+    travel, still = a.border[:m], jnp.zeros((rollers.n - m + rest,))
+    before, after = jnp.zeros((rollers.counts[0],)), jnp.zeros((rollers.counts[3] + rest,))
+    of_circles = (
+        jnp.concatenate([rollers.dir_x * travel, still]),
+        jnp.concatenate([rollers.dir_y * travel, still]),
+        jnp.concatenate([before, a.border[m : m + f], after]),
+    )
+    x, y, w = picked(of_circles, kept.circle_index)
+    surface = pairs.nx[:n] * y - pairs.ny[:n] * x + kept.radius * w
+    return jnp.concatenate([gained[:n] - surface, gained[n:]])

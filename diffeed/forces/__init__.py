@@ -1,0 +1,1 @@
+"""Forces by cause, their sum for a step, and their energies."""

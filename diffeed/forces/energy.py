@@ -1,0 +1,125 @@
+"""Energies and powers of a state, in N mm and N mm/s."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.chain.kinematics import Pose
+from diffeed.chain.state import State
+from diffeed.contact.bodies import Bodies
+from diffeed.contact.roller_pairs import RollerPairs
+from diffeed.contact.sweep import Pairs
+from diffeed.forces.clamps import hold_target
+from diffeed.forces.contacts import Contacts
+from diffeed.forces.loads import pushes
+from diffeed.model.arrays import NEWTON, Model
+from diffeed.pair.law import Surface, elastic_energy, elastic_force
+
+
+class Energies(NamedTuple):
+    """Stored energies, N mm."""
+
+    kinetic: Array
+    bending: Array
+    gravity: Array
+    contact: Array
+    springs: Array  # of movable rollers, preload and stops included
+
+
+class Powers(NamedTuple):
+    """Work and losses; as powers N mm/s, integrated over time N mm."""
+
+    drives: Array  # work of driven shafts
+    loads: Array  # work of dead forces and moments
+    friction: Array  # what friction takes: lost in sliding, or lent to deflections (below mu F stick_displacement each)
+    contact: Array  # loss in contact damping
+    joints: Array  # loss in joint dampers
+    rollers: Array  # loss in roller dampers and bearings
+
+
+def energies(model: Model, state: State, at: Pose, touching: Contacts) -> Energies:
+    """Energies of a state. Driven rollers carry no kinetic energy of their own: their spin is given."""
+    r = model.rollers
+    moving, bending, height = sheet_energies(model, state, at)
+    moving = moving + 0.5 * jnp.sum(r.mass * state.travel_rate**2) + 0.5 * jnp.sum(r.inertia * state.spin**2)
+    height = height - jnp.sum(r.mass * state.travel * (model.gravity[0] * r.dir_x + model.gravity[1] * r.dir_y))
+    over = jnp.maximum(state.travel - r.stop_high, 0.0) + jnp.maximum(r.stop_low - state.travel, 0.0)
+    springs = jnp.sum(r.preload * state.travel + 0.5 * r.spring * state.travel**2 + 0.5 * r.stop_stiffness * over**2)
+    return Energies(*(v / NEWTON for v in (moving, bending, height, _contact_energy(model, touching), springs)))
+
+
+def sheet_energies(model: Model, state: State, at: Pose) -> tuple[Array, Array, Array]:
+    """Of all sheets: motion, bending and height, kg mm2/s2."""
+    bars = model.bars
+    bend = state.heading - jnp.roll(state.heading, -1) - bars.rest_angle
+    moving = bars.mass * (at.vx**2 + at.vy**2) + bars.inertia * at.w**2
+    height = -bars.mass * (model.gravity[0] * at.x + model.gravity[1] * at.y)
+    # One sum of three rows: every step of a run pays for it.
+    sums = jnp.sum(jnp.stack([0.5 * moving, 0.5 * bars.joint_stiffness * bend**2, height]), axis=1)
+    bending = sums[1]
+    for hold in model.holds:
+        if hold.wall:
+            turn = state.heading[hold.bar] - hold_target(hold, state.time)[2]
+            bending = bending + model.wall_stiffness[hold.bar] * turn**2
+    return sums[0], bending, sums[2]
+
+
+def _contact_energy(model: Model, touching: Contacts) -> Array:
+    total, pairs = jnp.zeros(()), touching.sheets
+    if pairs is not None:
+        total = total + jnp.sum(pairs.weight * elastic_energy(model.surface.column(), -pairs.gap))
+    if touching.rollers is not None:
+        total = total + jnp.sum(elastic_energy(touching.rollers.surface, -touching.rollers.gap))
+    return total
+
+
+def powers(model: Model, state: State, at: Pose, world: Bodies, touching: Contacts) -> Powers:
+    """Powers at a state: what the shafts put in, what dampers and sliding take out."""
+    bars, r = model.bars, model.rollers
+    every = [p for p in (touching.sheets, touching.rollers) if p is not None]
+    friction = sum((jnp.sum(p.touch.friction * p.v_t) for p in every), jnp.zeros(()))
+    damping = _damping_loss(model, touching)
+    rate = state.rate - jnp.roll(state.rate, -1)
+    joints = jnp.sum(bars.joint_damping * rate**2)
+    for hold in model.holds:
+        if hold.wall:
+            joints = joints + 2.0 * model.wall_damping[hold.bar] * state.rate[hold.bar] ** 2
+    rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(r.drag * state.spin**2)
+    drives = _drive_power(model, world, touching.sheets, touching.rollers)
+    return Powers(*(v / NEWTON for v in (drives, load_power(model, at), friction, damping, joints, rollers)))
+
+
+def load_power(model: Model, at: Pose) -> Array:
+    """Power of dead forces and moments on nodes, kg mm2/s3."""
+    load = pushes(model, at)
+    return jnp.zeros(()) if load is None else jnp.sum(load.fx * at.vx + load.fy * at.vy + load.fw * at.w)
+
+
+def _damping_loss(model: Model, touching: Contacts) -> Array:
+    """What the springs of contacts give and the contact force does not take: c D^n v_n^2, and where the force is
+    clipped at zero the whole power of the spring (it lets go faster than the parts leave each other)."""
+
+    def loss(surface: Surface, pairs: Pairs | RollerPairs, weight: Array | float) -> Array:
+        return jnp.sum((weight * elastic_force(surface, -pairs.gap) - pairs.touch.force) * pairs.v_n)
+
+    total, sheets, rollers = jnp.zeros(()), touching.sheets, touching.rollers
+    if sheets is not None:
+        total = total + loss(model.surface.column(), sheets, sheets.weight)
+    if rollers is not None:
+        total = total + loss(rollers.surface, rollers, 1.0)
+    return total
+
+
+def _drive_power(model: Model, world: Bodies, sheets: Pairs | None, pairs: RollerPairs | None) -> Array:
+    """Shafts supply the opposite of what contacts exert on driven rollers."""
+    r, n = model.rollers, model.rollers.n
+    if n == 0:
+        return jnp.zeros(())
+    moment = jnp.zeros((n,))
+    if sheets is not None:
+        moment = moment + jnp.sum(sheets.touch.friction[:n], axis=1) * r.radius
+    if pairs is not None:
+        i, j = pairs.between
+        moment = moment.at[i].add(pairs.touch.friction * r.radius[i]).at[j].add(pairs.touch.friction * r.radius[j])
+    return -jnp.sum(jnp.where(r.driven, moment * world.spin, 0.0))

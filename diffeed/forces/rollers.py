@@ -1,0 +1,162 @@
+"""Rollers that travel or turn freely: their own terms, and what sheets and other rollers do to them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from diffeed.base.batching import any_of_batch
+from diffeed.chain.state import State
+from diffeed.chain.system import Border
+from diffeed.contact.features import shared, to_bars
+from diffeed.contact.kept import Kept, by_circle
+from diffeed.contact.roller_pairs import RollerPairs
+from diffeed.contact.sweep import Pairs
+from diffeed.forces.contacts import Contacts, felt
+from diffeed.forces.terms import Step
+from diffeed.model.arrays import Model
+
+
+def border(model: Model, state: State, touching: Contacts, step: Step, kept: Kept) -> Border:
+    """Travels and free spins: their own terms and their coupling to the bars."""
+    rollers, n_bars = model.rollers, model.layout.n_bars
+    m, f = rollers.n_movable, rollers.n_free
+    travel_diag, travel_force = _travel_terms(model, state, step)
+    spin_diag, spin_force = _spin_terms(model, state, step)
+    travel, spin = _both(rollers.counts)
+    twin = np.arange(m + f)
+    twin[travel], twin[spin] = spin, travel
+    own, mixed = jnp.concatenate([travel_diag, spin_diag]), jnp.zeros((m + f,))
+    rhs, columns = jnp.concatenate([travel_force, spin_force]), jnp.zeros((m + f, 3, n_bars))
+    beside = Border(columns, rhs, own, mixed, twin, lambda: jnp.zeros((m + f, m + f)), True)
+    if touching.sheets is not None and m + f:
+        beside = _sheet_on_rollers(model, touching.sheets, step, kept, beside)
+    if touching.rollers is not None:
+        beside = _rollers_on_rollers(model, touching.rollers, step, beside)
+    return beside
+
+
+def _travel_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
+    """Movable rollers along their travel: inertia, gravity, spring with preload, damper, stops."""
+    r, u, v = model.rollers, state.travel, state.travel_rate
+    over, under = jnp.maximum(u - r.stop_high, 0.0), jnp.maximum(r.stop_low - u, 0.0)
+    stiffness = r.spring + jnp.where((over > 0) | (under > 0), r.stop_stiffness, 0.0)
+    force = -(r.preload + r.spring * u) - r.damper * v - r.stop_stiffness * (over - under)
+    force = force + r.mass * (model.gravity[0] * r.dir_x + model.gravity[1] * r.dir_y)
+    if not step.implicit:
+        return r.mass, force
+    return r.mass + step.h * (r.damper + step.h * stiffness), force - step.h * stiffness * v
+
+
+def _spin_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
+    """Freely turning rollers: inertia and bearing drag."""
+    r = model.rollers
+    drag = -r.drag * state.spin
+    return (r.inertia + step.h * r.drag if step.implicit else r.inertia), drag
+
+
+def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside: Border) -> Border:
+    """Add the coupling of bars with travels and spins. A roller feels -n, -t along its travel and -R t in its spin."""
+    rollers, m, n = model.rollers, model.rollers.n_movable, kept.n_circles
+    roller = np.concatenate([np.arange(rollers.n)[rollers.movable], np.arange(rollers.n)[rollers.free]])
+    kind = np.arange(model.n_border) >= m  # of each row of the border: travel, spin
+    a_n, a_t, f_n, f_t = (v[:n] for v in felt(pairs, step).full())
+    nx, ny = pairs.nx[:n], pairs.ny[:n]
+    gn = -(kept.travel_x * nx + kept.travel_y * ny)
+    gt = kept.travel_x * ny - kept.travel_y * nx
+    gs = -kept.spin_lever
+    own = [f_n * gn + f_t * gt, f_t * gs]
+    if not step.implicit:  # no end of a step is felt: nothing is coupled
+        rhs = jnp.sum(by_circle(kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
+        return beside._replace(rhs=beside.rhs + rhs)
+    an, at, asp = a_n * gn, a_t * gt, a_t * gs
+    felt_by = []
+    for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
+        rn, rt = lever.rn, lever.rt
+        # What the bar couples (x, y, turning) to a travel and to a spin.
+        coupled = [an * nx - at * ny, -asp * ny, an * ny + at * nx, asp * nx, an * rn + at * rt, asp * rt]
+        felt_by += [shared(lever, v) for v in coupled]
+    felt_by += [an * gn + at * gt, asp * gs, *own]
+    table = jnp.stack(felt_by).reshape(-1, 2, *nx.shape)
+    rows = by_circle(kept, table, roller, kind)
+    columns = to_bars(model, jnp.split(rows[:-2], len(pairs.levers))).swapaxes(0, 1)
+    diagonal, rhs = jnp.sum(rows[-2:], axis=2)
+    mixed = beside.mixed
+    if rollers.counts[1]:
+        # A movable free roller has both: its travel and its spin couple through friction.
+        travel = _both(rollers.counts)[0]
+        mixed = mixed + _twice(
+            rollers.counts, jnp.sum(by_circle(kept, (at * gs)[None, None], roller[travel])[0], axis=1)
+        )
+    return beside._replace(columns=columns, rhs=beside.rhs + rhs, own=beside.own + diagonal, mixed=mixed)
+
+
+def _twice(counts: tuple[int, int, int, int], mixed: Array) -> Array:
+    """(movable free rollers,) -> (border,): what couples travel and spin, at both."""
+    before, after = jnp.zeros((counts[0],)), jnp.zeros((counts[2],))
+    return jnp.concatenate([before, mixed, mixed, after])
+
+
+def _both(counts: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Border rows (travel, spin) of the rollers that have both."""
+    return counts[0] + np.arange(counts[1]), sum(counts[:2]) + np.arange(counts[1])
+
+
+def _rollers_on_rollers(model: Model, pairs: RollerPairs, step: Step, beside: Border) -> Border:
+    """Add rollers against each other. They are summed as rows of g_n and g_t in all unknowns where they are few. Where each
+    movable roller has its own partners, partners without unknowns (driven, on fixed shafts) need no such rows, and others
+    only while they touch."""
+    if pairs.gap.ndim == 1:
+        full, rhs = _of_all(model, pairs, step)
+        return beside._replace(rhs=beside.rhs + rhs, rest=lambda: full, apart=None)
+    flat, none = jax.tree.map(jnp.ravel, pairs), jnp.zeros((model.n_border,))
+    coupled = any_of_batch(jnp.any((pairs.between[1] < sum(model.rollers.counts[:3])) & (pairs.gap < 0.0)))
+    rhs, own, mixed = _on_partners(model, pairs, step)
+    # Where any are coupled all come from the rows, and the sums are left out.
+    alone = jnp.where(coupled, 0.0, 1.0)
+    rhs = alone * rhs + lax.cond(coupled, lambda: _of_all(model, flat, step)[1], lambda: none)
+    return beside._replace(
+        rhs=beside.rhs + rhs,
+        own=beside.own + alone * own,
+        mixed=beside.mixed + alone * mixed,
+        rest=lambda: lax.cond(coupled, lambda: _of_all(model, flat, step)[0], lambda: jnp.diag(none)),
+        apart=~coupled,
+    )
+
+
+def _on_partners(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array, Array]:
+    """Right-hand side, own and mixed terms of movable rollers, (border,) each, from their partners, (movable, partners)."""
+    rollers, start = model.rollers, model.rollers.counts[0]
+    a_n, a_t, f_n, f_t = felt(pairs, step).full()
+    dx, dy = rollers.dir_x[:, None], rollers.dir_y[:, None]
+    along, across = pairs.nx * dx + pairs.ny * dy, pairs.nx * dy - pairs.ny * dx
+    turn, rest = -rollers.radius[start : rollers.n_movable, None], jnp.zeros((rollers.counts[2],))
+    rhs = jnp.concatenate([jnp.sum(f_n * along + f_t * across, axis=1), jnp.sum(f_t[start:] * turn, axis=1), rest])
+    if not step.implicit:
+        return rhs, jnp.zeros_like(rhs), jnp.zeros_like(rhs)
+    own = [jnp.sum(a_n * along**2 + a_t * across**2, axis=1), jnp.sum(a_t[start:] * turn**2, axis=1), rest]
+    mixed = jnp.sum(a_t[start:] * across[start:] * turn, axis=1)
+    return rhs, jnp.concatenate(own), _twice(rollers.counts, mixed)
+
+
+def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
+    """Rows of g_n and g_t in all unknowns, (pairs, border): their weighed product, and the right-hand side."""
+    rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
+    a_n, a_t, f_n, f_t = felt(pairs, step).full()
+    start = rollers.counts[0]
+    count = pairs.gap.shape[0]
+    gn, gt = jnp.zeros((count, m)), jnp.zeros((count, m + f))
+    for side, given in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
+        index = jnp.asarray(given, jnp.int32)
+        at_travel = jax.nn.one_hot(index, m, dtype=gn.dtype)
+        at_spin = jax.nn.one_hot(index - start, f, dtype=gn.dtype)
+        along = pairs.nx[:, None] * rollers.dir_x[None, :] + pairs.ny[:, None] * rollers.dir_y[None, :]
+        across = pairs.nx[:, None] * rollers.dir_y[None, :] - pairs.ny[:, None] * rollers.dir_x[None, :]
+        gn = gn + side * at_travel * along
+        gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
+    rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
+    if not step.implicit:
+        return jnp.zeros((m + f, m + f)), rows.T @ jnp.concatenate([f_n, f_t])
+    weighed = jnp.concatenate([a_n, a_t])[:, None] * rows
+    found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1)
+    return found[:, :-1], found[:, -1]

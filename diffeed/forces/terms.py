@@ -1,0 +1,31 @@
+"""A step as the forces feel it, and what they fill in for bars."""
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.chain.system import BarTerms
+from diffeed.model.arrays import Model
+
+
+class Step(NamedTuple):
+    """Length of a step and whether its end is felt: h = 0 gives the plain equations of motion."""
+
+    h: Array
+    implicit: bool
+
+
+def bar_terms(model: Model, **given: Array) -> BarTerms:
+    """Bar terms with the given entries and zeros elsewhere."""
+    zero = jnp.zeros_like(model.bars.mass)
+    return BarTerms(**{name: given.get(name, zero) for name in BarTerms._fields})
+
+
+def summed(terms: list[BarTerms]) -> BarTerms:
+    return BarTerms(*(functools.reduce(jnp.add, entries) for entries in zip(*terms, strict=True)))
+
+
+def on_bar(model: Model, bar: int, value: Array) -> Array:
+    return jnp.zeros_like(model.bars.mass).at[bar].set(value)

@@ -1,0 +1,1 @@
+"""Derivatives of a run, and whether they can be believed."""

@@ -1,0 +1,1 @@
+"""A scene as arrays, in kg, mm, s."""

@@ -1,0 +1,18 @@
+"""Parts of one kind in a row, sorted by name."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from jax import Array
+
+from diffeed.input.packing import stacked
+
+
+def named(parts: dict[str, Any], kind: type) -> list[tuple[str, Any]]:
+    return [(name, parts[name]) for name in sorted(parts) if isinstance(parts[name], kind)]
+
+
+def columns(values: Sequence[Any]) -> tuple[Array, Array]:
+    """x and y, (n,) each, of points."""
+    points = stacked(values, (2,))
+    return points[:, 0], points[:, 1]

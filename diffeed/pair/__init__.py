@@ -1,0 +1,1 @@
+"""One body against one point or bar: geometry and contact law apart, no sums."""

@@ -1,0 +1,67 @@
+"""What is read off the frames of a finished run: one compiled program each, mapped over the frames."""
+
+from typing import NamedTuple
+
+import jax
+from jax import Array
+
+from diffeed.chain.state import State, mean_per_sheet
+from diffeed.contact.sweep import heading
+from diffeed.forces.energy import Energies, energies
+from diffeed.input.packing import jit_of_scene
+from diffeed.input.parts import Scene
+from diffeed.model.build import build
+from diffeed.readings.observe import commanded_speed
+from diffeed.readings.snapshot import look
+
+
+class Feeding(NamedTuple):
+    """How sheets are fed, (frames, sheets)."""
+
+    speed: Array  # mm/s, of each along itself
+    wanted: Array  # mm/s, what the driven rollers that touch it command
+    held: Array  # bool: some driven roller touches it
+
+
+class Motion(NamedTuple):
+    """What energies and the verdict read off frames, (frames, ...)."""
+
+    stored: Energies
+    fed: Feeding
+
+
+@jit_of_scene
+def motion(scene: Scene, states: State) -> Motion:
+    """Energies and speeds of a normalised scene."""
+    model = build(scene)
+
+    def at_frame(state: State) -> Motion:
+        at, world, touching = look(model, state)
+        speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
+        wanted, press = commanded_speed(model, at, touching, world.spin)
+        return Motion(energies(model, state, at, touching), Feeding(speed, wanted, press > 0))
+
+    return jax.lax.map(at_frame, states)
+
+
+class Approach(NamedTuple):
+    """Every pair of body and feature, (frames, bodies, features)."""
+
+    gap: Array  # mm
+    into: Array  # sine of the angle between the bar's heading and the body's face
+    weight: Array  # 0..1: share of the contact that the pair carries
+
+
+@jit_of_scene
+def approach(scene: Scene, states: State) -> Approach:
+    """How every bar stands to every body of a normalised scene."""
+    model = build(scene)
+
+    def at_frame(state: State) -> Approach:
+        at, _, touching = look(model, state)
+        pairs = touching.sheets
+        assert pairs is not None
+        c, s = heading(model, at, pairs)
+        return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
+
+    return jax.lax.map(at_frame, states)

@@ -1,0 +1,101 @@
+"""How far a run is from a jam: smooth, signed, without unit. Above 0: passes with that much to spare; below 0: jams.
+
+Each part of the margin is 1 - load/limit, so that 0 is the limit and 1 is no load at all. `measures.verdict` is the hard
+judgement of the same run.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.base.smooth import ramp, soft_max
+from diffeed.input.parts import Scene, normalise
+from diffeed.model.arrays import Model
+from diffeed.model.build import build
+from diffeed.readings.frames import approach
+from diffeed.readings.trajectory import Trajectory
+
+NEEDS = ("feed", "spans")
+SOFTNESS = 0.05
+"""Width over which the smallest part is smoothed."""
+ENOUGH = 0.5
+"""Fed per commanded distance that counts as feeding, for a scene without a goal."""
+HELD = 4.0
+"""Euler load of a span whose ends are held straight over that of hinged ends: a nip is nearer to the former."""
+FOLDED = np.deg2rad(150.0)
+"""Turn over three joints that counts as folded back."""
+NEAR = 1.0
+"""mm: a head nearer than this to a guide is about to meet it."""
+
+
+def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) -> dict[str, Array]:
+    """The parts of the margin of one sheet (the first if not named). Needs observe=("feed", "spans").
+
+    progress: fed distance over the distance that brings the tail to the scene's goal (straight from lead to goal), less
+    1; without a goal, over half the commanded distance. buckling: compression between nips against the Euler load of a
+    free span with held ends. fold: turn over three joints against 150 degrees. attack: angle at which the head meets a
+    guide against the angle at which friction holds it fast, 90 degrees less the friction angle. gap: depth to which the
+    head is pressed into a guide against half a millimetre.
+    """
+    for name in NEEDS:
+        if name not in trajectory.observed:
+            raise ValueError(f'jam_margins needs simulate(..., observe={NEEDS}), but "{name}" was not observed')
+    scene = normalise(scene)
+    name = min(scene.sheets) if sheet is None else sheet
+    parts = {
+        "progress": _progress(scene, trajectory, name),
+        "buckling": 1.0 - trajectory.observed["spans"][name].buckling / HELD,
+        "fold": _fold(trajectory, name),
+    }
+    model = jax.eval_shape(build, scene)  # names and counts only
+    if model.lines.names or model.arcs.names:
+        parts |= _head(model, scene, trajectory, name)
+    return parts
+
+
+def jam_margin(scene: Scene, trajectory: Trajectory, sheet: str | None = None) -> Array:
+    """The smallest part of `jam_margins`, smoothed: never above it, at most SOFTNESS log(parts) below."""
+    parts = jnp.stack(list(jam_margins(scene, trajectory, sheet).values()))
+    return -soft_max(-parts, 0, SOFTNESS)
+
+
+def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
+    feed = trajectory.observed["feed"][name]
+    if not scene.goal:
+        forward = feed.fed * jnp.sign(feed.commanded)  # fed tail first, both are negative
+        return forward / jnp.maximum(jnp.abs(feed.commanded), 1e-6) / ENOUGH - 1.0
+    lead = trajectory.sheets[name].nodes[0, 0]
+    way = scene.sensors[scene.goal].position - lead
+    needed = scene.sheets[name].length + jnp.sqrt(jnp.sum(way**2))
+    return jnp.minimum(feed.fed / needed - 1.0, 1.0)
+
+
+def _fold(trajectory: Trajectory, name: str) -> Array:
+    headings = trajectory.sheets[name].headings
+    span = min(3, headings.shape[1] - 1)
+    if span < 1:
+        return jnp.ones(())
+    turns = jnp.abs(headings[:, span:] - headings[:, :-span]) / FOLDED
+    return 1.0 - soft_max(turns.ravel(), 0, 0.01)
+
+
+def _head(model: Model, scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Array]:
+    """Attack and gap of the head at line and arc guides, over frames."""
+    k = model.layout.names.index(name)
+    feature, first = model.layout.starts[k] + k, len(model.circle_names)
+    gap, into, weight = (v[:, first:, feature] for v in approach(scene, trajectory.states))  # (frames, guides)
+    gap = jnp.where(weight > 0, gap, jnp.inf)
+    guides = [scene.guides[n] for n in (*model.lines.names, *model.arcs.names)]
+    slick = np.array([scene.contacts[g.contact].friction_law == "none" for g in guides])
+    friction = jnp.where(slick, 0.0, jnp.stack([g.friction for g in guides]))
+    holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)
+    steep = jnp.arcsin(jnp.clip(into, -0.999, 0.999)) / holds[None]
+    finite = jnp.where(jnp.isfinite(gap), gap, NEAR)
+    close = jnp.clip(1.0 - finite / NEAR, 0.0, 1.0)
+    pressed = ramp(-finite, jnp.asarray(0.01))[0] / 0.5
+    # Only a head that meets a guide, not one that is held against it by the nip behind: its own pair near the face.
+    return {
+        "attack": 1.0 - soft_max((close * steep).ravel(), 0, 0.01),
+        "gap": 1.0 - soft_max(pressed.ravel(), 0, 0.01),
+    }

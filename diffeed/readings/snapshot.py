@@ -1,0 +1,177 @@
+"""What one state shows: forces, slips and gaps of every part, in newtons. Frames and observers both look through this."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.base.smooth import divide
+from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
+from diffeed.chain.state import State
+from diffeed.contact.bodies import Bodies, bodies, shift_at, spins
+from diffeed.contact.features import shared, to_bars
+from diffeed.contact.kept import keep_all, keep_rollers
+from diffeed.contact.sweep import Pairs, heading
+from diffeed.forces.contacts import Contacts, contacts
+from diffeed.model.arrays import NEWTON, Model
+from diffeed.readings.trajectory import GuideTrack, Parts, RollerTrack, SheetTrack
+
+
+class Felt(NamedTuple):
+    """Sums over a sheet's features, one entry per body."""
+
+    force: Array  # N
+    friction: Array  # N on the sheet along its heading
+    moment: Array  # N: friction on the body along its own tangent (times radius: torque)
+    slide: Array  # N mm/s: normal force times (body - sheet) speed along the heading
+    gap: Array  # mm
+
+
+def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
+    """Sums over features, (bodies,), or (rollers,) where only those were looked at.
+
+    A joined tip touches nothing: its gap is infinite.
+    """
+    c, s = heading(model, at, pairs)
+    touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
+    gap = jnp.min(pairs.gap, axis=1)
+    n = min(gap.shape[0], len(model.circle_names))  # the rollers alone, or all bodies
+    return Felt(
+        force=jnp.sum(touch.force, axis=1) / NEWTON,
+        friction=jnp.sum(-touch.friction * along, axis=1) / NEWTON,
+        moment=jnp.sum(touch.friction, axis=1) / NEWTON,
+        slide=jnp.sum(-touch.force * pairs.v_t * along, axis=1) / NEWTON,
+        gap=gap.at[:n].set(jnp.where(model.circles.active[:n] > 0, gap[:n], jnp.inf)),
+    )
+
+
+def guide_names(model: Model) -> tuple[str, ...]:
+    circles = model.circle_names[model.rollers.n : model.rollers.n + model.n_circle_guides]
+    return tuple(sorted((*model.lines.names, *model.arcs.names, *circles)))
+
+
+def part_names(model: Model) -> tuple[str, ...]:
+    """Names of everything that can be pressed, with the section: rollers, then guides, then sheets."""
+    rollers, guides = sorted(model.rollers.names), guide_names(model)
+    return (
+        *(f"rollers.{n}" for n in rollers),
+        *(f"guides.{n}" for n in guides),
+        *(f"sheets.{n}" for n in model.layout.names),
+    )
+
+
+def roller_order(model: Model) -> np.ndarray:
+    """Positions of the sorted names in the model's own order."""
+    return np.array([model.rollers.names.index(n) for n in sorted(model.rollers.names)], dtype=int)
+
+
+def roller_track(model: Model, state: State, at: Pose, world: Bodies, touching: Contacts) -> RollerTrack:
+    """Rollers in sorted order."""
+    order, n = roller_order(model), model.rollers.n
+    if touching.sheets is None or n == 0:
+        empty = jnp.zeros((0,))
+        return RollerTrack(center=jnp.zeros((0, 2)), travel=empty, angle=empty, angular_velocity=empty, force=empty,
+                           friction=empty, torque=empty, slip=empty, gap=empty)  # fmt: skip
+    felt = Felt(*(v[:n] for v in felt_by_bodies(model, touching.sheets, at)))
+    torque = felt.moment * model.rollers.radius
+    if touching.rollers is not None:
+        torque = torque + _pair_torque(model, touching)
+    travel = jnp.concatenate([state.travel, jnp.zeros((n - model.rollers.n_movable,))])
+    return RollerTrack(
+        center=jnp.stack([world.circles.x[:n], world.circles.y[:n]], axis=1)[order],
+        travel=travel[order],
+        angle=state.angle[order],
+        angular_velocity=spins(model, state, state.time)[order],
+        force=felt.force[order],
+        friction=felt.friction[order],
+        torque=torque[order],
+        slip=divide(felt.slide, felt.force)[order],
+        gap=felt.gap[order],
+    )
+
+
+def _pair_torque(model: Model, touching: Contacts) -> Array:
+    assert touching.rollers is not None
+    radius = model.rollers.radius
+    i, j = touching.rollers.between
+    pull = touching.rollers.touch.friction / NEWTON
+    torque = jnp.zeros_like(radius).at[i].add(pull * radius[i])
+    return torque.at[j].add(pull * radius[j])
+
+
+def by_guide(model: Model, felt: Felt) -> Felt:
+    """Bodies -> guides in sorted order: lines, arcs and circle guides with their tips."""
+    names = guide_names(model)
+    owners = (*model.circle_names[model.rollers.n :], *model.lines.names, *model.arcs.names)
+    index = np.array([names.index(n) for n in owners], dtype=int)
+    entries = Felt(*(v[model.rollers.n :] for v in felt))
+    sums = [jax.ops.segment_sum(v, index, len(names)) for v in entries[:4]]
+    return Felt._make([*sums, jax.ops.segment_min(entries.gap, index, len(names))])
+
+
+def guide_track(model: Model, state: State, at: Pose, touching: Contacts) -> GuideTrack:
+    names = guide_names(model)
+    felt = Felt(*[jnp.zeros((0,))] * 5)
+    if touching.sheets is not None:
+        felt = by_guide(model, felt_by_bodies(model, touching.sheets, at))
+    shift, turn = jnp.zeros((len(names), 2)), jnp.zeros((len(names),))
+    for key, path in model.paths.items():
+        family, k = key.split(".")
+        owners = {"lines": model.lines.names, "arcs": model.arcs.names, "circles": model.circle_names}[family]
+        if owners[int(k)] in names and not (family == "circles" and int(k) < model.rollers.n):
+            at_time, row = shift_at(path, state.time), names.index(owners[int(k)])
+            shift = shift.at[row].set(jnp.stack([at_time.dx, at_time.dy]))
+            turn = turn.at[row].set(at_time.angle)
+    return GuideTrack(displacement=shift, rotation=turn, force=felt.force, friction=felt.friction, gap=felt.gap)
+
+
+def contact_on_bars(model: Model, touching: Contacts) -> tuple[Array, Array, Array]:
+    """Normal force sums and contact force vectors on each bar, N: (bars,) each."""
+    if touching.sheets is None:
+        zero = jnp.zeros((model.layout.n_bars,))
+        return zero, zero, zero
+    pairs = touching.sheets
+    f, t = pairs.touch.force, -pairs.touch.friction
+    values = (f, f * pairs.nx - t * pairs.ny, f * pairs.ny + t * pairs.nx)
+    sums = [jnp.stack([jnp.sum(shared(lever, v), axis=0) for v in values]) for lever in pairs.levers]
+    force, x, y = to_bars(model, sums) / NEWTON
+    return force, x, y
+
+
+def sheet_tracks(model: Model, state: State, at: Pose, touching: Contacts) -> dict[str, SheetTrack]:
+    x, y = nodes(model, at)
+    vx, vy = node_velocities(model, at)
+    force, push_x, push_y = contact_on_bars(model, touching)
+    tracks = {}
+    for k, (name, s) in enumerate(zip(model.layout.names, model.layout.slices(), strict=True)):
+        at_nodes = slice(s.start + k, s.stop + k + 1)
+        tracks[name] = SheetTrack(
+            nodes=jnp.stack([x[at_nodes], y[at_nodes]], axis=1),
+            velocities=jnp.stack([vx[at_nodes], vy[at_nodes]], axis=1),
+            headings=state.heading[s],
+            rates=state.rate[s],
+            force=force[s],
+            push=jnp.stack([push_x[s], push_y[s]], axis=1),
+        )
+    return tracks
+
+
+def look(model: Model, state: State, guides: bool = True) -> tuple[Pose, Bodies, Contacts]:
+    """Pose, bodies and contacts at a state itself (shafts as prescribed at its own time).
+
+    Without `guides`, contacts hold the rows of the rollers alone.
+    """
+    at = pose(model, state)
+    world = bodies(model, state, state.time, state.time)
+    whole = guides or model.rollers.n == 0
+    return at, world, contacts(model, at, world, keep_all(model) if whole else keep_rollers(model), state.grip)
+
+
+def snapshot(model: Model, state: State) -> tuple[dict[str, SheetTrack], Parts[RollerTrack], Parts[GuideTrack]]:
+    """Everything that a frame of a trajectory holds."""
+    at, world, touching = look(model, state)
+    rollers = Parts(block=roller_track(model, state, at, world, touching), names=tuple(sorted(model.rollers.names)))
+    guides = Parts(block=guide_track(model, state, at, touching), names=guide_names(model))
+    return sheet_tracks(model, state, at, touching), rollers, guides

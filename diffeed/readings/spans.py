@@ -1,0 +1,102 @@
+"""What the sheet carries between driven nips: tension, and compression against the Euler load of the free span."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from diffeed.base.records import number, record, replace
+from diffeed.base.smooth import divide
+from diffeed.chain.state import State
+from diffeed.input.parts import Scene
+from diffeed.model.arrays import NEWTON, Model
+
+PEAK = 4.0
+"""Exponent of the time mean that stands for a peak: smooth, and not ruled by one step."""
+
+
+@record
+class SpanStats:
+    """Per sheet, over the time in which two driven nips hold it; zeros if none ever did."""
+
+    held: Any = number(unit="s", doc="time in which at least two driven nips held the sheet")
+    tension: Any = number(unit="N", doc="mean tension of the spans between them, negative in compression")
+    tension_peak: Any = number(unit="N", doc="fourth-power mean of the tension, tight spans only")
+    buckling: Any = number(unit="1", doc="fourth-power mean of compression over the Euler load (hinged ends)")
+
+
+@record
+class SpanSums:
+    """Time integrals per sheet, (sheets,)."""
+
+    held: Any
+    tension: Any
+    tight: Any
+    buckling: Any
+
+
+def start(model: Model, scene: Scene, state: State) -> SpanSums:
+    zero = jnp.zeros((len(model.layout.names),))
+    return SpanSums(held=zero, tension=zero, tight=zero, buckling=zero)
+
+
+def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
+    if seen.touching.sheets is None or model.rollers.n < 2:
+        return sums
+    tension = seen.after.stretch / (2.0 * model.bars.half_length) / NEWTON
+    found = [_spans(model, scene, k, name, tension, seen.touching.sheets) for k, name in enumerate(model.layout.names)]
+    weight, pull, ratio = (jnp.stack(v) for v in zip(*found, strict=True))  # (sheets, pairs) each
+    h = jnp.where(jnp.sum(weight, axis=1) > 0, seen.h, 0.0)
+    count = jnp.sum(weight, axis=1)
+    return SpanSums(
+        held=sums.held + h,
+        tension=sums.tension + h * divide(jnp.sum(weight * pull, axis=1), count),
+        tight=sums.tight + h * jnp.sum(weight * jnp.maximum(pull, 0.0) ** PEAK, axis=1),
+        buckling=sums.buckling + h * jnp.sum(weight * jnp.maximum(ratio, 0.0) ** PEAK, axis=1),
+    )
+
+
+def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs: Any) -> tuple[Array, Array, Array]:
+    """For every pair of driven rollers: 1 if they hold the sheet as neighbours, mean tension between, compression over
+    the Euler load. Each (pairs,)."""
+    layout, sheet = model.layout, scene.sheets[name]
+    bars = layout.slices()[k]
+    features = slice(bars.start + k, bars.stop + k + 1)
+    driven = np.flatnonzero(model.rollers.driven)
+    force = pairs.touch.force[: model.rollers.n][driven][:, features]  # (driven, features)
+    bar = sheet.length / sheet.bars
+    count = layout.bars[k]
+    middle = 0.0 if model.skin == "smooth" else 0.5  # a feature is centred on its node or on its bar
+    place = jnp.asarray(np.arange(count + 1) + middle, bar.dtype) * bar
+    total = jnp.sum(force, axis=1)
+    at = divide(force @ place, total)  # mm behind the lead where each nip holds
+    holds = (total > 0).astype(at.dtype)
+    i, j = np.triu_indices(len(driven), 1)
+    low, high = jnp.minimum(at[i], at[j]), jnp.maximum(at[i], at[j])
+    inner = (at[None] > low[:, None] + 0.5 * bar) & (at[None] < high[:, None] - 0.5 * bar)
+    between = jnp.sum(jnp.where(inner, holds[None], 0.0), axis=1)
+    apart = (between == 0) & (high - low > 2.0 * bar)
+    neighbours = jnp.where(apart, holds[i] * holds[j], 0.0)
+    centres = jnp.asarray(np.arange(count) + 0.5, bar.dtype) * bar
+    inside = ((centres[None] > low[:, None]) & (centres[None] < high[:, None])).astype(at.dtype)
+    mean = divide(inside @ tension[bars], jnp.sum(inside, axis=1))
+    stiffness = sheet.youngs_modulus * sheet.thickness**3 * sheet.width / 12.0  # N mm2
+    euler = np.pi**2 * stiffness / jnp.maximum(high - low, bar) ** 2
+    return neighbours, mean, divide(-mean, euler)
+
+
+def close(model: Model, scene: Scene, sums: SpanSums, state: State) -> dict[str, SpanStats]:
+    held = sums.held
+    peak = [_root(divide(v, held)) for v in (sums.tight, sums.buckling)]
+    every = SpanStats(held=held, tension=divide(sums.tension, held), tension_peak=peak[0], buckling=peak[1])
+    names = SpanStats.__dataclass_fields__  # type: ignore[attr-defined]
+    return {
+        sheet: replace(every, **{n: getattr(every, n)[k] for n in names}) for k, sheet in enumerate(model.layout.names)
+    }
+
+
+def _root(x: Array) -> Array:
+    """Fourth root with gradient 0 at 0."""
+    positive = x > 0
+    return jnp.where(positive, jnp.where(positive, x, 1.0) ** (1.0 / PEAK), 0.0)

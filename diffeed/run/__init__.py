@@ -1,0 +1,1 @@
+"""From a scene to a trajectory: rest states, steps, error control, pieces."""

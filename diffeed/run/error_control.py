@@ -1,0 +1,249 @@
+"""Steps as long as a tolerance allows: impacts (start-up, nip entry) are resolved, free feeding runs on long steps.
+
+Each attempt goes the same way in one step and in two halves (`steppers/extrapolated_euler.py`); their difference is the
+error of the whole step. Too large: the state stands and the next attempt is shorter. Step lengths are found in a loop that
+ends when the run does; a derivative is then taken through the accepted steps, in a scan of static length in which the
+rest is skipped. The lengths themselves are held fixed: the derivative is that of the steps taken, as with a given step.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from diffeed.base.records import replace
+from diffeed.chain.kinematics import node_velocities, nodes, pose
+from diffeed.chain.state import State
+from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, search
+from diffeed.faults.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
+from diffeed.input.parts import Scene
+from diffeed.model.arrays import Model
+from diffeed.run.progress import Progress, recomputed, searched, taken
+from diffeed.steppers import ESTIMATING
+from diffeed.steppers.extrapolated_euler import Ways, both_ways
+
+BLOCK = 8
+"""Accepted steps between two searches for candidates, at most."""
+SMALLEST = 1e-9
+"""s: a step that must be shorter than this fails the run."""
+SAFETY, SHRINK, GROW = 0.9, 0.2, 2.0
+HORIZON = 1e-4
+"""s: an error in speed counts as the way it makes in this time: it is felt by all steps to come."""
+
+
+class Control(NamedTuple):
+    """Static: frames after the first, the most steps, stepper, observers."""
+
+    frames: int
+    blocks: int
+    method: str
+    observe: tuple[str, ...]
+
+
+class Limits(NamedTuple):
+    """What the user wants, traced: seconds between frames, largest error of a step (mm), longest step (s)."""
+
+    frame: Any
+    tolerance: Any
+    longest: Any
+
+
+class Schedule(NamedTuple):
+    """Accepted steps: `lengths` (blocks, BLOCK) s, 0 for none; `ends` (frames,) the block that ends each frame."""
+
+    lengths: Array
+    ends: Array
+    taken: Array
+
+
+class _Search(NamedTuple):
+    """Carry of the loop over blocks."""
+
+    progress: Progress
+    h: Array
+    block: Array
+    frame: Array
+    schedule: Schedule
+    states: State  # (frames, ...) as they are reached
+
+
+class _Block(NamedTuple):
+    """Carry of the loop over attempts."""
+
+    progress: Progress
+    h: Array
+    accepted: Array
+    lengths: Array
+
+
+def blocks(most_steps: int, frames: int) -> int:
+    """Blocks with room for `most_steps`; a frame ends one early."""
+    return -(-most_steps // BLOCK) + frames
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> tuple[Progress, State, Array]:
+    """From a start to the end: the last progress, the states at the frames after the first, and the number of steps."""
+    found = _find(control, limits, model, scene, first)
+    return found.progress, found.states, found.schedule.taken
+
+
+@run.defjvp
+def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
+    found = lax.stop_gradient(_find(control, *given))
+    replay = functools.partial(_replay, control, found.schedule, found.progress)
+    return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative: steps are held fixed
+
+
+def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> _Search:
+    """Go through the run, choosing steps."""
+    start = first.state.time
+    n, dtype = control.frames, start.dtype
+
+    def going(carry: _Search) -> Array:
+        return (carry.frame < n) & (carry.block < control.blocks) & (carry.progress.cause == 0)
+
+    def one_block(carry: _Search) -> _Search:
+        end = start + (carry.frame + 1).astype(dtype) * limits.frame
+        span = jnp.minimum(end - carry.progress.state.time, BLOCK * carry.h)
+        candidates, span = for_as_long_as_they_last(search(model, carry.progress.state, span), span)
+        until = carry.progress.state.time + span
+        until = jnp.where(until + _smallest(end) >= end, end, until)  # no stub is left over by rounding
+        done = _attempts(control, limits, model, scene, carry, candidates, until)
+        progress = _failed(
+            searched(model, candidates, carry.progress, done.progress), span < _smallest(until), TOO_MANY_NEAR
+        )
+        reached = (progress.state.time >= end) | (progress.cause > 0)
+        schedule = Schedule(
+            carry.schedule.lengths.at[carry.block].set(done.lengths),
+            carry.schedule.ends.at[carry.frame].set(carry.block),
+            carry.schedule.taken + done.accepted,
+        )
+        states = jax.tree.map(lambda all, one: all.at[carry.frame].set(one), carry.states, progress.state)
+        return _Search(progress, done.h, carry.block + 1, carry.frame + reached.astype(jnp.int32), schedule, states)
+
+    empty = Schedule(jnp.zeros((control.blocks, BLOCK), dtype), jnp.zeros((n,), jnp.int32), jnp.zeros((), jnp.int32))
+    states = jax.tree.map(lambda v: jnp.broadcast_to(v, (n, *v.shape)), first.state)
+    zero = jnp.zeros((), jnp.int32)
+    begun = _Search(first, jnp.minimum(first.next_step, limits.longest), zero, zero, empty, states)
+    last = lax.while_loop(going, one_block, begun)
+    progress = _failed(last.progress, last.frame < n, OUT_OF_STEPS)
+    return _stand_still(last._replace(progress=progress._replace(next_step=last.h)))
+
+
+def _failed(progress: Progress, failed: Array, cause: int) -> Progress:
+    """A failure here and now, if none came before."""
+    new = failed & (progress.cause == 0)
+    return progress._replace(
+        cause=jnp.where(new, cause, progress.cause).astype(jnp.int32),
+        failed_at=jnp.where(new, progress.state.time, progress.failed_at),
+    )
+
+
+def _stand_still(last: _Search) -> _Search:
+    """A failed run stands still: its last state fills the frames that it did not reach."""
+    ends = last.schedule.ends
+    missing = jnp.arange(ends.shape[0], dtype=jnp.int32) >= last.frame
+
+    def filled(all: Array, one: Array) -> Array:
+        return jnp.where(missing.reshape(-1, *[1] * one.ndim), one[None], all)
+
+    return last._replace(
+        states=jax.tree.map(filled, last.states, last.progress.state),
+        schedule=last.schedule._replace(ends=jnp.where(missing, jnp.maximum(last.block - 1, 0), ends)),
+    )
+
+
+def _attempts(
+    control: Control,
+    limits: Limits,
+    model: Model,
+    scene: Scene,
+    carry: _Search,
+    candidates: Candidates,
+    until: Array,
+) -> _Block:
+    """Attempts until the block's time is over or its steps are used up."""
+    chosen = ESTIMATING[control.method].chosen
+
+    def going(block: _Block) -> Array:
+        progress = block.progress
+        return (block.accepted < BLOCK) & (progress.state.time < until) & (progress.cause == 0)
+
+    def attempt(block: _Block) -> _Block:
+        before = block.progress
+        time = before.state.time
+        left = until - time
+        # Two equal steps rather than a long one and a stub.
+        h = jnp.where(block.h >= left, left, jnp.minimum(block.h, 0.5 * left))
+        ways = both_ways(model, before.state, h, candidates.kept)
+        error = _error(model, ways)
+        after = replace(chosen(ways), time=jnp.where(h >= left, until, time + h))
+        then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe)
+        # A step that fails is tried again shorter, as long as that is possible.
+        good = (error <= limits.tolerance) & (then.cause == 0)
+        stuck = _failed(before, h <= _smallest(time), TOO_SMALL)
+        stuck = stuck._replace(cause=jnp.where((stuck.cause > 0) & (then.cause > 0), then.cause, stuck.cause))
+        progress = jax.tree.map(lambda a, b: jnp.where(good, a, b), then, stuck)
+        wanted = jnp.clip(_next(h, block.h, error, good, limits.tolerance), _smallest(time), limits.longest)
+        lengths = jnp.where(good, block.lengths.at[block.accepted].set(h), block.lengths)
+        return _Block(progress, wanted, block.accepted + good.astype(jnp.int32), lengths)
+
+    none = jnp.zeros((BLOCK,), carry.h.dtype)
+    return lax.while_loop(going, attempt, _Block(carry.progress, carry.h, jnp.zeros((), jnp.int32), none))
+
+
+def _next(h: Array, planned: Array, error: Array, good: Array, tolerance: Array) -> Array:
+    """s: the next attempt after one of length h, shortened from `planned` by the end of a block. The error goes as h^2."""
+    factor = SAFETY * jnp.sqrt(tolerance / jnp.maximum(error, 1e-6 * tolerance))
+    factor = jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, GROW), SHRINK)
+    grown = jnp.maximum(h * factor, jnp.where(factor >= 1.0, planned, 0.0))
+    return jnp.where(good, grown, h * jnp.minimum(factor, 0.5))
+
+
+def _smallest(time: Array) -> Array:
+    """s: below this a step fails the run: time itself would hardly move on."""
+    return jnp.maximum(SMALLEST, 8.0 * jnp.finfo(time.dtype).eps * time)
+
+
+def _error(model: Model, ways: Ways) -> Array:
+    """mm: largest difference of any node or movable roller, or of their speeds over `HORIZON`. NaN where a way failed."""
+    found = []
+    for state in (ways.whole, ways.halves):
+        at = pose(model, state)
+        place = jnp.concatenate([*nodes(model, at), state.travel])
+        speed = jnp.concatenate([*node_velocities(model, at), state.travel_rate])
+        found.append(jnp.stack([place, HORIZON * speed]))
+    return jnp.max(jnp.abs(found[0] - found[1]))
+
+
+def _replay(
+    control: Control, schedule: Schedule, found: Progress, model: Model, scene: Scene, first: Progress
+) -> tuple[Progress, State, Array]:
+    """The same run with given steps: what a derivative goes through. Whether it failed is known already."""
+    stepper = ESTIMATING[control.method].step
+
+    def one_block(carry: Progress, lengths: Array) -> tuple[Progress, State]:
+        def work(carry: Progress) -> Progress:
+            span = jnp.sum(lengths)
+            candidates, _ = for_as_long_as_they_last(search(model, carry.state, span), span)
+
+            @recomputed
+            def one_step(carry: Progress, h: Array) -> tuple[Progress, None]:
+                def go(carry: Progress) -> Progress:
+                    after, touching = stepper(model, carry.state, h, candidates.kept)
+                    return taken(model, scene, carry, after, touching, h, candidates.kept, control.observe)
+
+                return lax.cond(h > 0, go, lambda c: c, carry), None
+
+            last, _ = lax.scan(one_step, carry, lengths)
+            return searched(model, candidates, carry, last)
+
+        carry = lax.cond(lengths[0] > 0, work, lambda c: c, carry)
+        return carry, carry.state
+
+    last, states = lax.scan(one_block, first, schedule.lengths)
+    last = last._replace(cause=found.cause, failed_at=found.failed_at, next_step=found.next_step)
+    return last, jax.tree.map(lambda v: v[schedule.ends], states), schedule.taken

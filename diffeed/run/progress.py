@@ -1,0 +1,144 @@
+"""A run under way: where it starts, one step with its checks and observers, and what is carried from step to step."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.ad_checkpoint import checkpoint_name
+
+from diffeed.base.records import replace
+from diffeed.chain.state import State, initial_state
+from diffeed.contact import stick
+from diffeed.contact.candidates import Candidates, check_reach
+from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.kept import Kept
+from diffeed.faults import balance, judge
+from diffeed.faults.balance import Book
+from diffeed.faults.causes import ACROSS, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
+from diffeed.forces.contacts import Contacts
+from diffeed.input.parts import Scene
+from diffeed.model.arrays import Model
+from diffeed.readings.observe import OBSERVERS, Seen
+from diffeed.readings.snapshot import look
+from diffeed.readings.trajectory import Resume
+from diffeed.statics.rest import settle_model
+
+FIRST = 1e-6
+"""s: the first attempt of error-controlled steps; a start is often an impact."""
+
+VERDICT = "verdict"
+Step = Callable[[Any, Array], Any]
+
+
+class Progress(NamedTuple):
+    """Carry of the scan: state, first failure, accumulators."""
+
+    state: State
+    cause: Array
+    failed_at: Array
+    open: dict[str, Any]
+    next_step: Array  # s: the next attempt of error-controlled steps
+    book: Book  # the sheets' energy so far
+    error: Array  # mm: that of all steps so far, if they had order one
+
+
+def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
+    """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
+    if isinstance(initial, Resume):
+        if set(initial.open) != set(observe):
+            had, asked = (", ".join(sorted(names)) or "nothing" for names in (initial.open, observe))
+            raise ValueError(f"observe must be what it was in the run that goes on, {had}, but is {asked}")
+        return Progress(
+            stick.fitted(model, initial.state),
+            initial.cause,
+            initial.failed_at,
+            initial.open,
+            initial.next_step,
+            initial.book,
+            initial.error,
+        )
+    state, found = None if initial is None else stick.fitted(model, initial), jnp.asarray(True)
+    if state is None:
+        state = initial_state(model, scene)
+        if scene.initial == "settled":
+            with jax.named_scope("settle"):
+                state, found = settle_model(model, state)
+    state = _all_with_tangents(state)
+    cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
+    start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
+    cause = jnp.where((cause == 0) & jnp.any(guides_crossed(model, state)), ACROSS, cause).astype(jnp.int32)
+    failed_at = jnp.where(cause == 0, jnp.inf, state.time)
+    dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state)))
+    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), book, jnp.zeros((), dtype))
+
+
+def _all_with_tangents(state: State) -> State:
+    """The same state. Where it is differentiated all of it has tangents but the time, also speeds that start as zero: a scan
+    whose carry gets more of them on the way is traced once more. And where it is in a batch, all of it is."""
+    nothing = 0.0 * state.x[0]  # a plain zero would be seen through
+    return replace(jax.tree.map(lambda v: v + nothing, state), time=state.time)
+
+
+def taken(
+    model: Model,
+    scene: Scene,
+    carry: Progress,
+    after: State,
+    touching: Contacts,
+    h: Array,
+    kept: Kept,
+    observe: tuple[str, ...],
+    explicit: bool = False,
+) -> Progress:
+    """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
+    before = carry.state
+    # Judging has no derivative: nothing of it is carried on by one.
+    judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
+    (cause, leap), book = judge.of_step(judged, then, now, met, near, h, explicit), carry.book
+    if balance.is_kept(model):
+        book = balance.entered(judged, book, met, h)
+    # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
+    fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
+    opened = carry.open
+    if observe:
+        guides = any(OBSERVERS[name].guides for name in observe)
+        seen = Seen(before, after, h, *look(model, before, guides))
+        opened = {name: OBSERVERS[name].update(model, scene, carry.open[name], seen) for name in observe}
+    return Progress(
+        state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
+        cause=jnp.where(carry.cause == 0, cause, carry.cause),
+        failed_at=jnp.where((carry.cause == 0) & (cause > 0), after.time, carry.failed_at),
+        open=jax.tree.map(lambda a, b: jnp.where(fine, a, b), opened, carry.open),
+        next_step=carry.next_step,
+        book=book,  # of no use once a run has failed
+        error=carry.error + jnp.where(fine, leap, 0.0),
+    )
+
+
+def recomputed(step: Step) -> Step:
+    """A step of a scan whose derivative keeps the state before and the verdict, computes the step again, and judges no more."""
+    return jax.checkpoint(step, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(VERDICT))
+
+
+def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
+    """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
+    guide, or if energy came from nowhere: then the run stands where its energy was last good."""
+    near_enough = check_reach(model, found, carry.state)
+    across = jnp.any(guides_crossed(model, carry.state))
+    unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
+    cause = jnp.where(near_enough, jnp.where(across, ACROSS, 0), unseen)
+    book, state = carry.book, carry.state
+    if balance.is_kept(model):
+        book, gained = balance.judged(*lax.stop_gradient((model, book, state, found.pace)))
+        gained &= (carry.cause == 0) & (cause == 0)
+        cause = jnp.where(gained, FROM_NOWHERE, cause)
+        state = jax.tree.map(lambda a, b: jnp.where(gained, a, b), begun.state, state)
+    lost = (carry.cause == 0) & (cause > 0)
+    return carry._replace(
+        state=state,
+        cause=jnp.where(lost, cause, carry.cause).astype(jnp.int32),
+        failed_at=jnp.where(lost, carry.state.time, carry.failed_at),
+        book=book,
+    )

@@ -1,0 +1,263 @@
+"""`simulate`: a pure function from a scene to a trajectory. Steps are scanned, checkpointed, and frames looked at after."""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from diffeed.base.limits import MAX_STEPS, run_problem, scene_size
+from diffeed.base.records import replace
+from diffeed.chain.state import State
+from diffeed.contact.candidates import search
+from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.kept import keep_all
+from diffeed.faults.causes import ACROSS, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
+from diffeed.faults.judge import severity
+from diffeed.input.packing import bare, jit_of_scene
+from diffeed.input.parts import Scene, normalise, warn_if_single
+from diffeed.model.arrays import Model
+from diffeed.model.build import build
+from diffeed.readings.observe import OBSERVERS
+from diffeed.readings.snapshot import felt_by_bodies, look, part_names, snapshot
+from diffeed.readings.trajectory import Failure, Resume, Trajectory
+from diffeed.run import error_control
+from diffeed.run.progress import Progress, begin, recomputed, searched, taken
+from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
+
+BLOCK = 16
+"""Most steps between two searches for candidates."""
+LONG_BLOCK = 8
+"""Length of a block from which a frame may get some steps more than asked for: few long ones stay as they are."""
+SEARCHED = 2e-3
+"""s: with long steps the searches stay this close in time, at a tenth more cost (5e-4 s). A search over a longer time must
+reach further, and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
+MANY = 40_000
+"""Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
+STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000
+"""s: the step if none is given; under error control the longest one, and how many at most."""
+
+
+class Plan(NamedTuple):
+    """Static counts of a run: frames, blocks per frame, steps per block."""
+
+    frames: int
+    blocks: int
+    steps: int
+
+    @property
+    def total(self) -> int:
+        return (self.frames - 1) * self.blocks * self.steps
+
+
+def plan(duration: float, dt: float, frames: int) -> Plan:
+    """Counts for a run: a frame is a whole number of steps, so dt is shortened where frames do not divide the run."""
+    per_frame = max(1, math.ceil(duration / (frames - 1) / dt - 1e-9))
+    return in_blocks(per_frame, frames, min(BLOCK, max(2, int(SEARCHED / dt + 1e-9))))
+
+
+def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
+    """So many steps per frame, in equal blocks of at most `most`; of many steps a few more, if that makes the blocks longer."""
+    least = most // 2 if most >= LONG_BLOCK else 1
+    whole = [k for k in range(most, least - 1, -1) if per_frame % k == 0]
+    blocks = per_frame // whole[0] if whole else math.ceil(per_frame / most)
+    return Plan(frames, blocks, math.ceil(per_frame / blocks))
+
+
+def simulate(
+    scene: Scene,
+    duration: float | None = None,
+    dt: float | None = None,
+    frames: int = 101,
+    method: str = DEFAULT,
+    initial: State | Resume | None = None,
+    observe: tuple[str, ...] = (),
+    tolerance: float | None = None,
+    most_steps: int = MOST_STEPS,
+) -> Trajectory:
+    """Run a scene for `duration` (s; the scene's own if None) and look at it `frames` times, evenly spaced.
+
+    Works alike in plain Python and under `jit`, `grad`, `vmap`. `dt` is the longest step allowed (s; 1e-4 if None); the
+    number of steps is static, so inside a trace `dt` must be a Python float. `method` names a stepper (`diffeed.METHODS`).
+    `initial` is a state (of `settle`, say) or `trajectory.final` of a run to go on with. `observe` names what to accumulate
+    in every step (`diffeed.OBSERVERS`). A run that fails is a value: `trajectory.ok`, `trajectory.failure`.
+
+    With a `tolerance` (mm, error of one step; may be traced) steps are chosen by their error, none longer than `dt` (2e-3
+    if None) and at most `most_steps` together, which is static: a derivative passes through that many places, a run that
+    needs more fails.
+
+    Raises ValueError for a static argument that makes no sense; call `diffeed.check` for the scene's own numbers.
+    """
+    scene = normalise(scene)
+    warn_if_single(scene)
+    duration = scene.duration if duration is None else float(duration)
+    dt = dt if dt is not None else STEP if tolerance is None else LONGEST
+    _refuse(duration, dt, frames, method, observe)
+    frames = int(frames)
+    steps_of = dt if tolerance is None else None
+    if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
+        raise ValueError(problem)
+    observe = tuple(sorted(set(observe)))
+    if tolerance is None:
+        counts = plan(duration, dt, frames)
+        return _simulate(scene, duration / counts.total, initial, counts, method, observe)
+    refuse_control(tolerance, most_steps, frames, method)
+    control = error_control.Control(frames - 1, error_control.blocks(int(most_steps), frames), method, observe)
+    return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
+
+
+def at_start(scene: Scene, observe: tuple[str, ...] = ()) -> Resume:
+    """Where a run of the scene begins, as `simulate` takes it: what goes on from there is the run."""
+    scene = normalise(scene)
+    return _at_start(scene, tuple(sorted(set(observe))))
+
+
+@jit_of_scene(static_argnames=("observe",))
+def _at_start(scene: Scene, observe: tuple[str, ...]) -> Resume:
+    model, scene = build(scene), bare(scene)
+    return Resume(**begin(model, scene, None, observe)._asdict())
+
+
+def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
+    """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
+    return _simulate(normalise(scene), dt, start, in_blocks(steps, 2), method, ())
+
+
+def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
+    for name, value in (("duration", duration), ("dt", dt)):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be a positive number of seconds, but is {value}")
+    if int(frames) != frames or frames < 2:
+        raise ValueError(f"frames must be a whole number of at least 2, but is {frames}")
+    if method not in STEPPERS:
+        raise ValueError(f"method must be one of {', '.join(STEPPERS)}, but is {method!r}")
+    if isinstance(observe, str) or not set(observe) <= set(OBSERVERS):
+        raise ValueError(f"observe must be a tuple of names out of {', '.join(OBSERVERS)}, but is {observe!r}")
+
+
+def refuse_control(tolerance: Any, most_steps: int, frames: int, method: str) -> None:
+    if method not in ESTIMATING:
+        raise ValueError(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
+    if not isinstance(tolerance, Array) and not (math.isfinite(tolerance) and tolerance > 0):
+        raise ValueError(f"tolerance must be a positive number of mm, but is {tolerance}")
+    if int(most_steps) != most_steps or most_steps < frames - 1:
+        raise ValueError(
+            f"most_steps must be a whole number of at least one per frame ({frames - 1}), but is {most_steps}"
+        )
+    if most_steps > MAX_STEPS:
+        raise ValueError(f"most_steps must be at most {MAX_STEPS:,}, but is {most_steps:,}")
+
+
+@jit_of_scene(static_argnames=("counts", "method", "observe"))
+def _simulate(
+    scene: Scene, dt: Any, initial: State | Resume | None, counts: Plan, method: str, observe: tuple[str, ...]
+) -> Trajectory:
+    """Steps of one length."""
+    model, scene = build(scene), bare(scene)
+    h = jnp.asarray(dt, scene.gravity.dtype)
+    first = begin(model, scene, initial, observe)
+
+    def one_block(carry: Progress, start: Array) -> Progress:
+        with jax.named_scope("search"):
+            found = search(model, carry.state, counts.steps * h)
+
+        @recomputed
+        def one_step(carry: Progress, k: Array) -> tuple[Progress, None]:
+            time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
+            after, touching = STEPPERS[method](model, carry.state, h, found.kept)
+            after = replace(after, time=time)
+            return taken(model, scene, carry, after, touching, h, found.kept, observe, method in EXPLICIT), None
+
+        last, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
+        return searched(model, found, carry, last)
+
+    if counts.total > MANY:
+        one_block = jax.checkpoint(one_block, prevent_cse=False)  # in a scan nothing is merged that must not be
+
+    def block_of_frame(given: tuple[Progress, State, Array], _: None) -> tuple[tuple[Progress, State, Array], None]:
+        carry, states, done = given  # the count goes along: as an input of the scan it would be stored for every block
+        carry = one_block(carry, done * counts.steps)
+        frame = 1 + done // counts.blocks  # its last block has the last word
+        return (carry, jax.tree.map(lambda all, one: all.at[frame].set(one), states, carry.state), done + 1), None
+
+    blocks = (counts.frames - 1) * counts.blocks
+    states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
+    (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
+    gone = jnp.round((last.state.time - first.state.time) / h).astype(int)
+    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe)
+
+
+@jit_of_scene(static_argnames=("control",))
+def _simulate_to(
+    scene: Scene, limits: error_control.Limits, initial: State | Resume | None, control: error_control.Control
+) -> Trajectory:
+    """Steps as long as a tolerance allows."""
+    model, scene = build(scene), bare(scene)
+    limits = error_control.Limits(*(jnp.asarray(v, scene.gravity.dtype) for v in limits))
+    first = begin(model, scene, initial, control.observe)
+    last, states, count = error_control.run(control, limits, model, scene, first)
+    mean = (last.state.time - first.state.time) / jnp.maximum(count, 1).astype(limits.frame.dtype)
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
+    return _trajectory(model, scene, last, states, mean, count, control.observe)
+
+
+def _trajectory(
+    model: Model,
+    scene: Scene,
+    last: Progress,
+    states: State,
+    dt: Array,
+    steps: Array,
+    observe: tuple[str, ...],
+) -> Trajectory:
+    """Look at the frames."""
+    sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
+    part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
+    return Trajectory(
+        time=states.time,
+        dt=dt,
+        steps=steps,
+        sheets=sheets,
+        rollers=rollers,
+        guides=guides,
+        error=last.error,
+        ok=last.cause == 0,
+        failure=Failure(
+            time=last.failed_at,
+            cause=last.cause,
+            part=jnp.where(last.cause > NO_REST, part, -1),
+            parts=part_names(model),
+        ),
+        observed={name: OBSERVERS[name].close(model, scene, last.open[name], last.state) for name in observe},
+        final=Resume(**last._asdict()),
+        states=states,
+    )
+
+
+def _blamed(model: Model, last: Progress, h: Array) -> Array:
+    """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
+    force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
+    at, _, touching = look(model, last.state)
+    assert touching.sheets is not None
+    felt = felt_by_bodies(model, touching.sheets, at)
+    about = severity(model, touching.sheets, keep_all(model), h)
+    crossed = guides_crossed(model, last.state).astype(felt.gap.dtype)
+    across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), crossed])
+    pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
+    nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
+    pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(felt.gap, 0.0)), pressed)
+    told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
+    weight = jnp.where(told, about, jnp.where(last.cause == ACROSS, across, pressed))
+    by_part = _by_part(model, weight)
+    return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
+
+
+def _by_part(model: Model, values: Array) -> Array:
+    """(bodies,) -> the largest for each of part_names: a guide's tips are the guide's."""
+    n = model.rollers.n
+    names = part_names(model)
+    owners = [f"rollers.{name}" for name in model.rollers.names] + [f"guides.{name}" for name in model.body_names[n:]]
+    index = np.array([names.index(owner) for owner in owners], dtype=int)
+    return jax.ops.segment_max(values, index, len(names))

@@ -1,0 +1,1 @@
+"""What pictures, player and notebooks share."""

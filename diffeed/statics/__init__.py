@@ -1,0 +1,1 @@
+"""What needs no steps: rest states and small vibrations."""
