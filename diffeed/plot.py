@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from diffeed import plot_style
 from diffeed.input.parts import Scene
-from diffeed.show import outlines, plot_machine, plot_style
+from diffeed.show import outlines, plot_machine
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from diffeed import plot_style
 from diffeed.base.files import plain, write_whole
-from diffeed.show import plot_style
 from optimize.descent import Progress, begin, search
 from optimize.evaluate import Evaluator
 from optimize.problem import Problem, Settings, loss

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import diffeed
-from diffeed import plot
-from diffeed.show import plot_style
+from diffeed import plot, plot_style
 from optimize.blame_map import Arising, Blame, gain_of
 from optimize.variables import unit
 

@@ -159,7 +159,7 @@ def write_result(
 
 
 def _write_pictures(folder: Path, result: Result) -> None:
-    from diffeed.show import plot_style
+    from diffeed import plot_style
     from optimize import pictures
 
     problem = result.problem

@@ -13,7 +13,7 @@ PACKAGE = ROOT / "diffeed"
 
 RANKS = """
     base: words names record_html records files folders terminal toml_text limits smooth once batching
-    tuning
+    tuning plot_style
     pair: shapes skin law
     input: parts packing check_values check_rules check_records paths scene_file stacking
     schema
@@ -27,7 +27,7 @@ RANKS = """
     statics: coordinates relax rest vibrations
     run: progress error_control rollout examine pieces
     measures
-    show: labels outlines plot_style player_data plot_machine
+    show: labels outlines player_data plot_machine
     plot player
     show: scene_html
     gradients: modes trust faults
@@ -134,7 +134,7 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
     """Its top names, and the modules that `diffeed` offers beside them."""
     import diffeed
 
-    offered = {"measures", "plot", "player", "tuning", "schema", "show.plot_style", "run.rollout"}
+    offered = {"measures", "plot", "player", "tuning", "schema", "plot_style", "run.rollout"}
     offered |= {"readings.agreement", "input.stacking"}
     for path in (PACKAGE.parent / "optimize").rglob("*.py"):
         asked = imported(path) - set(diffeed.__all__)

@@ -18,10 +18,10 @@ from diffeed import (
     Scene,
     Sheet,
     measures,
-    stick,
 )
 from diffeed.base.records import replace
 from diffeed.chain.state import initial_state
+from diffeed.contact import stick
 from diffeed.contact.candidates import search
 from diffeed.contact.kept import keep_all
 from diffeed.input.parts import normalise

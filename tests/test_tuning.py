@@ -63,7 +63,8 @@ def test_a_compiler_gets_no_flags_that_it_may_not_know(flags, version, count):
 
 @pytest.mark.parametrize(("alone", "given", "found"), [(True, "", "1"), (False, "", "unset"), (True, "3", "3")])
 def test_a_command_for_single_runs_takes_one_core_unless_told_otherwise(alone, given, found):
-    code = f"import os; from diffeed import session; session.set_up(alone={alone}); print(os.environ.get('NPROC', 'unset'))"
+    set_up = f"from diffeed.command.session import set_up; set_up(alone={alone})"
+    code = f"import os; {set_up}; print(os.environ.get('NPROC', 'unset'))"
     env = {k: v for k, v in os.environ.items() if k != "NPROC"} | ({"NPROC": given} if given else {})
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=env)
     assert done.stdout.strip() == found, done.stderr

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffeed import plot_style
 from diffeed.bench.outcome import MEASURES
 from diffeed.bench.records import Front, Row
 from diffeed.bench.report import on_front
-from diffeed.show import labels, plot_style
+from diffeed.show import labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffeed import plot_style
 from diffeed.bench.stability import CLASSES, CONTROLLED, RIGHT, WRONG
 from diffeed.bench.stability_scene import AXES
-from diffeed.show import plot_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

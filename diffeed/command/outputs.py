@@ -72,6 +72,6 @@ def _first_bars(scene: Scene) -> tuple[int, ...]:
 
 def picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
     """What writes a figure to a path."""
-    from diffeed.show import plot_style
+    from diffeed import plot_style
 
     return lambda path: plot_style.save(path, draw)

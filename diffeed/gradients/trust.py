@@ -216,7 +216,7 @@ def table(check: GradientCheck) -> str:
 
 def plot(check: GradientCheck, name: str | None = None, ax: "Axes | None" = None) -> "Axes":
     """Exact derivative and trend (with three standard errors) of one number over time."""
-    from diffeed.show import plot_style
+    from diffeed import plot_style
 
     name = next(iter(check.exact)) if name is None else name
     row = next(r for r in check.rows if r.name == name)

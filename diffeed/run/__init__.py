@@ -1,1 +1,1 @@
-"""From a scene to a trajectory: rest states, steps, error control, pieces."""
+"""From a scene to a trajectory: `simulate`, error control, runs in pieces; and what `check` says."""

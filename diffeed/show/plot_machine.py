@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffeed.input.parts import Scene
+from diffeed.plot_style import COLORS, FAINT, INK, SMALL, STEEL, WIDTH, axes
 from diffeed.show import labels, outlines
-from diffeed.show.plot_style import COLORS, FAINT, INK, SMALL, STEEL, WIDTH, axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

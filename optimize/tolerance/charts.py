@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffeed.show import plot_style
+from diffeed import plot_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffeed import plot_style
 from diffeed.base.files import plain, write_whole
 from diffeed.base.terminal import plain_table
-from diffeed.show import plot_style
 from optimize.tolerance import charts
 from optimize.tolerance.folder import PICTURES, RESULT, pictures_of
 from optimize.tolerance.latitude import Map
