@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.bench.timing import timed
-from diffeed.gradients.modes import gradient_plan, value_and_gradient
+from diffeed.bench.timing import Timed, timed
+from diffeed.gradients.modes import GradientPlan, gradient_plan, value_and_gradient
 from diffeed.input.parts import Scene, normalise
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run.rollout import simulate
@@ -39,38 +39,40 @@ def gradient(
         """NaN in a run that fails."""
         return jnp.where(run.ok, jnp.sum(run.sheets[name].nodes[-1, 0]), jnp.nan)
 
-    def gradient(paths: tuple[str, ...] | None, mode: str) -> Callable[[Scene], Any]:
+    def slopes(paths: tuple[str, ...] | None, mode: str) -> Callable[[Scene], Any]:
         return lambda scene: value_and_gradient(lead, scene, paths, mode, duration, dt, FRAMES)
 
     programs = {
         RUN: (lambda scene: (lead(scene, simulate(scene, duration, dt, FRAMES)), None), None),
         FORWARD: (
-            gradient((f"sheets.{name}.youngs_modulus",), "forward"),
+            slopes((f"sheets.{name}.youngs_modulus",), "forward"),
             gradient_plan(scene, 1, duration, dt, FRAMES, "forward"),
         ),
-        REVERSE: (gradient(None, "reverse"), gradient_plan(scene, every, duration, dt, FRAMES, "reverse")),
+        REVERSE: (slopes(None, "reverse"), gradient_plan(scene, every, duration, dt, FRAMES, "reverse")),
     }
     rows = []
     for what, (program, planned) in programs.items():
         show(len(rows), len(programs), what)
         made = timed(program, scene, fewest=fewest)
-        value, slopes = made.value
-        reason = None
-        if not np.isfinite(value):
-            reason = "the run fails: diffeed run tells where and why"
-        elif not all(np.all(np.isfinite(v)) for v in jax.tree.leaves(slopes)):
-            reason = "not finite: diffeed.explain_gradient names the first step, pair and term"
-        rows.append(
-            {
-                "what": what,
-                "numbers": planned.numbers if planned else 0,
-                "trace_seconds": made.trace,
-                "compile_seconds": made.compile - made.trace,
-                "run_seconds": made.run,
-                "runs": made.run / (rows[0]["run_seconds"] if rows else made.run),
-                "temporary_mb": None if made.temporary is None else made.temporary / 1e6,
-                "planned_mb": planned.memory / 1e6 if planned else None,
-                "reason": reason,
-            }
-        )
+        rows.append(_row(what, made, planned, rows[0]["run_seconds"] if rows else made.run))
     return rows
+
+
+def _row(what: str, made: Timed, planned: GradientPlan | None, one_run: float) -> dict[str, Any]:
+    value, slopes = made.value
+    reason = None
+    if not np.isfinite(value):
+        reason = "the run fails: diffeed run tells where and why"
+    elif not all(np.all(np.isfinite(v)) for v in jax.tree.leaves(slopes)):
+        reason = "not finite: diffeed.explain_gradient names the first step, pair and term"
+    return {
+        "what": what,
+        "numbers": planned.numbers if planned else 0,
+        "trace_seconds": made.trace,
+        "compile_seconds": made.compile - made.trace,
+        "run_seconds": made.run,
+        "runs": made.run / one_run,
+        "temporary_mb": None if made.temporary is None else made.temporary / 1e6,
+        "planned_mb": planned.memory / 1e6 if planned else None,
+        "reason": reason,
+    }

@@ -33,6 +33,7 @@ class Closest(NamedTuple):
 
 
 def nearest(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+    """The skin against all kept bodies, in their order."""
     families = []
     if kept.n_circles:
         families.append(circles_near(model, rows, world, kept))

@@ -37,6 +37,7 @@ def joints(model: Model, state: State, step: Step) -> BarTerms:
 
 
 def coupling(model: Model, step: Step) -> Array:
+    """(bars,) what the joint behind each bar adds to the matrix between its two bars: h (c + h k)."""
     if not step.implicit:
         return jnp.zeros_like(model.bars.mass)
     return step.h * (model.bars.joint_damping + step.h * model.bars.joint_stiffness)

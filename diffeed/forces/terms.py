@@ -24,8 +24,10 @@ def bar_terms(model: Model, **given: Array) -> BarTerms:
 
 
 def summed(terms: list[BarTerms]) -> BarTerms:
+    """The sum of terms of several causes."""
     return BarTerms(*(functools.reduce(jnp.add, entries) for entries in zip(*terms, strict=True)))
 
 
 def on_bar(model: Model, bar: int, value: Array) -> Array:
+    """(bars,) with a value at one bar and zeros elsewhere."""
     return jnp.zeros_like(model.bars.mass).at[bar].set(value)

@@ -18,6 +18,7 @@ JOIN_TOLERANCE = 1e-3
 
 
 def lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, ArcGuide]]) -> tuple[Lines, Arcs]:
+    """Both families at once, for the end of a line may be that of an arc."""
     (sx, sy), (ex, ey) = columns([g.start for _, g in lines]), columns([g.end for _, g in lines])
     length = jnp.sqrt((ex - sx) ** 2 + (ey - sy) ** 2)
     tx, ty = (ex - sx) / length, (ey - sy) / length
@@ -91,6 +92,7 @@ def circles_of(
     lines: tuple[list[tuple[str, Any]], Lines],
     arcs: tuple[list[tuple[str, Any]], Arcs],
 ) -> tuple[Circles, list[tuple[str, Any]]]:
+    """Rollers, circle guides and the tips of lines and arcs in one row, and the part behind each."""
     tips = [
         (family, parts, faces.faces, end)
         for family, (parts, faces) in (("lines", lines), ("arcs", arcs))

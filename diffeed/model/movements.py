@@ -9,6 +9,7 @@ from diffeed.model.arrays import Path
 
 
 def path_of(motion: Motion) -> Path:
+    """A movement in mm and rad."""
     return Path(
         times=motion.times,
         x=motion.displacement[:, 0],

@@ -13,10 +13,12 @@ from diffeed.model.rows import columns, named
 
 
 def is_driven(roller: FixedRoller | MovableRoller) -> bool:
+    """Whether its shaft is prescribed; else it turns freely."""
     return roller.angular_speed is not None or roller.surface_speed is not None
 
 
 def rollers_of(scene: Scene) -> tuple[Rollers, list[tuple[str, Any]]]:
+    """All rollers in the model's order, and the part behind each."""
     movable, fixed = named(scene.rollers, MovableRoller), named(scene.rollers, FixedRoller)
     groups = [
         [p for p in movable if is_driven(p[1])],

@@ -9,6 +9,7 @@ from diffeed.input.packing import stacked
 
 
 def named(parts: dict[str, Any], kind: type) -> list[tuple[str, Any]]:
+    """Names and parts of one kind."""
     return [(name, parts[name]) for name in sorted(parts) if isinstance(parts[name], kind)]
 
 

@@ -17,6 +17,7 @@ def joint_stiffness(sheet: Sheet) -> Array:
 
 
 def per_bar(sheets: list[Sheet], layout: Layout, value: Callable[[Sheet], Array]) -> Array:
+    """(bars,) of what is the same for all bars of a sheet."""
     return jnp.concatenate([jnp.broadcast_to(value(s), (n,)) for s, n in zip(sheets, layout.bars, strict=True)])
 
 
@@ -47,6 +48,7 @@ def bars_of(sheets: list[Sheet], layout: Layout) -> Bars:
 
 
 def hold_of(scene: Scene, layout: Layout, clamp: Clamp) -> Hold:
+    """A clamp holds where the scene's own records put the sheet, and by its displacement beside it."""
     whole = clamp.kind == "bar"
     bar, end = layout.bar(clamp.sheet, clamp.at, whole)
     sheet = scene.sheets[clamp.sheet]
@@ -68,6 +70,7 @@ def hold_of(scene: Scene, layout: Layout, clamp: Clamp) -> Hold:
 
 
 def push_of(scene: Scene, layout: Layout, name: str) -> Push:
+    """A dead load by its name."""
     load = scene.loads[name]
     bar, end = layout.bar(load.sheet, load.at)
     force, moment = NEWTON * load.force, NEWTON * load.moment

@@ -13,6 +13,7 @@ from diffeed.pair.law import Surface
 
 
 def surface_of(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
+    """Of bodies, each with its own friction and the numbers of its contact set."""
     once = {id(part): part for _, part in parts}  # a guide owns its tips too
     place = {key: k for k, key in enumerate(once)}
     friction = stacked([part.friction for part in once.values()])[np.array([place[id(p)] for _, p in parts], dtype=int)]
@@ -31,6 +32,7 @@ def pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tupl
 
 
 def any_sticks(scene: Scene, parts: list[tuple[str, Any]]) -> bool:
+    """Whether friction sticks anywhere among these."""
     return any(scene.contacts[p.contact].friction_law == "stick" for _, p in parts)
 
 

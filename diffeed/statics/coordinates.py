@@ -64,6 +64,7 @@ def generalised_force(model: Model, state: State, pressed: Array | None = None) 
 
 
 def centres(model: Model, state: State, q: Array) -> tuple[Array, Array, Array]:
+    """x, y and heading of every bar, (bars,) each, at positions q."""
     moved = with_positions(model, state, q, jnp.zeros_like(q))
     at = pose(model, moved)
     return at.x, at.y, moved.heading

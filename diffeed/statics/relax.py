@@ -1,5 +1,6 @@
 """The search for a rest: where an imbalance vanishes."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,12 @@ step refused, at most, and its growth with each step taken. (Contacts that open 
 sheet that only bends takes up to twenty times as many steps.)"""
 LONGER = 4.0
 """Largest growth of the squared length of a step of the search from one to the next."""
+SHORTEST, LONGEST = 1e-14, 1e14
+"""s2: squared lengths of steps. The shortest, 0.1 us, follows bars of 1 mm past a friction that lets go; 10 us did not."""
+
+Imbalance = Callable[["Rest"], "Rest"]
+Limit = Callable[[Array, Array], Array]
+"""Of positions and a step from there: the share of it that is safe."""
 
 
 class Rest(NamedTuple):
@@ -43,19 +50,10 @@ class _Search(NamedTuple):
     done: Array
 
 
-def relaxed(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: float) -> Found:
+def relaxed(imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, first: float) -> Found:
     """Pseudo-transient continuation: linearly implicit steps from rest, as long as their linearisation foresees what they
     leave, so that contacts that open and close do not throw the search to and fro; near the rest it ends in Newton's
     method."""
-    dtype = guess.q.dtype
-    # The shortest step, 0.1 us, follows bars of 1 mm past a friction that lets go; 10 us did not.
-    smallest, largest = 1e-14, 1e14
-    small = 1e-11 if dtype == jnp.float64 else 2e-5
-    tiny, eps = jnp.finfo(dtype).tiny, jnp.finfo(dtype).eps
-
-    def size(gap: Rest) -> Array:
-        """Both kinds of imbalance as a displacement: forces as what 1 ms of free motion would make of them."""
-        return jnp.max(jnp.abs(gap.q) / inertia) * 1e-6 + jnp.sum(jnp.abs(gap.reaction))
 
     def carry_on(at: _Search) -> Array:
         return (at.tries < ITERATIONS) & ~at.done
@@ -67,21 +65,17 @@ def relaxed(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: floa
         jacobian, gap = jax.jacfwd(lambda r: (imbalance(r),) * 2, has_aux=True)(trial)
         foreseen = Rest((1.0 - share) * at.gap.q + share * inertia / at.span2 * step.q, (1.0 - share) * at.gap.reaction)
         slope = dense(jacobian)
-        # Round-off of stiff springs on light bars must neither hold steps back nor refuse any. (A few roundings each: 8. What
-        # lies at 0 is rounded as well, as radii and centres are that place it: 1 mm.)
-        noise = 8.0 * eps * size(as_rest(jnp.abs(slope) @ (1.0 + jnp.abs(jnp.concatenate(trial))), trial))
-        left = jnp.maximum(size(gap), noise)
+        noise = _noise(slope, trial, inertia)
+        left = jnp.maximum(_size(gap, inertia), noise)
         # A step too short to count, that was not held back, surprises nobody: light bars flicker at a friction that lets go.
+        small = 1e-11 if guess.q.dtype == jnp.float64 else 2e-5
         close = jnp.max(jnp.abs(step.q)) < small * (1.0 + jnp.max(jnp.abs(trial.q)))
-        off = jnp.maximum(size(jax.tree.map(jnp.subtract, gap, foreseen)) - noise, 0.0)
+        off = jnp.maximum(_size(jax.tree.map(jnp.subtract, gap, foreseen), inertia) - noise, 0.0)
         surprise = jnp.where(close & (at.span2 > first), 0.0, off / at.left)
         # What no shorter step would better is taken: clamps that move at once may leave nothing else.
-        taken = (surprise <= at.allowed) | (left <= at.left) | (at.span2 <= smallest)
+        taken = (surprise <= at.allowed) | (left <= at.left) | (at.span2 <= SHORTEST)
         good = jnp.isfinite(left) & taken
-        # What a linearisation leaves out grows as the square of the step; the next one aims at half of what is allowed.
-        change = jnp.clip(jnp.sqrt(0.5 * at.allowed / jnp.maximum(surprise, tiny)), 0.1, LONGER)
-        change = jnp.minimum(change, jnp.where(good, jnp.where(share >= 1.0, LONGER, 1.0), 0.5))
-        span2 = jnp.clip(jnp.where(jnp.isfinite(left), change, 0.1) * at.span2, smallest, largest)
+        span2 = _next_span(at, surprise, good, share >= 1.0, left)
         done = good & (share >= 1.0) & close & (at.span2 > 1e2)
         bolder = jnp.minimum(BOLDER * at.allowed, BOLD)
         reached = _Search(at.tries, trial, gap, slope, left, span2, bolder, done)
@@ -89,7 +83,27 @@ def relaxed(imbalance: Any, guess: Rest, inertia: Array, limit: Any, first: floa
         return jax.tree.map(lambda a, b: jnp.where(good, a, b), reached, stayed)._replace(tries=at.tries + 1)
 
     last = lax.while_loop(carry_on, improve, _begun(guess, first))
-    return Found(last.rest, last.done.astype(dtype), last.slope)
+    return Found(last.rest, last.done.astype(guess.q.dtype), last.slope)
+
+
+def _size(gap: Rest, inertia: Array) -> Array:
+    """Both kinds of imbalance as a displacement: forces as what 1 ms of free motion would make of them."""
+    return jnp.max(jnp.abs(gap.q) / inertia) * 1e-6 + jnp.sum(jnp.abs(gap.reaction))
+
+
+def _noise(slope: Array, at: Rest, inertia: Array) -> Array:
+    """Size of the round-off of stiff springs on light bars, which must neither hold steps back nor refuse any. (A few roundings
+    each: 8. What lies at 0 is rounded as well, as radii and centres are that place it: 1 mm.)"""
+    eps = jnp.finfo(slope.dtype).eps
+    return 8.0 * eps * _size(as_rest(jnp.abs(slope) @ (1.0 + jnp.abs(jnp.concatenate(at))), at), inertia)
+
+
+def _next_span(at: _Search, surprise: Array, good: Array, whole: Array, left: Array) -> Array:
+    """s2: what a linearisation leaves out grows as the square of the step; the next one aims at half of what is allowed."""
+    tiny = jnp.finfo(left.dtype).tiny
+    change = jnp.clip(jnp.sqrt(0.5 * at.allowed / jnp.maximum(surprise, tiny)), 0.1, LONGER)
+    change = jnp.minimum(change, jnp.where(good, jnp.where(whole, LONGER, 1.0), 0.5))
+    return jnp.clip(jnp.where(jnp.isfinite(left), change, 0.1) * at.span2, SHORTEST, LONGEST)
 
 
 def _begun(guess: Rest, first: float) -> _Search:
@@ -115,4 +129,5 @@ def as_rest(values: Array, like: Rest) -> Rest:
 
 
 def dense(jacobian: Any) -> Array:
+    """The Jacobian of a `Rest` by a `Rest` as one matrix."""
     return jnp.block([[jacobian.q.q, jacobian.q.reaction], [jacobian.reaction.q, jacobian.reaction.reaction]])
