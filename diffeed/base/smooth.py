@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from diffeed.base.batching import any_of_batch
+
 
 def ramp(x: Array, width: Array) -> tuple[Array, Array]:
     """The ramp D(x) and its slope: 0 for x <= 0, x^2/(2 width) up to width, then x - width/2. Shapes of x.
@@ -22,14 +24,41 @@ def ramp(x: Array, width: Array) -> tuple[Array, Array]:
     return jnp.where(touching, value, 0.0), jnp.where(touching, slope, 0.0)
 
 
+@jax.custom_jvp
 def powers(x: Array, exponents: tuple[Array, ...]) -> tuple[Array, ...]:
-    """x^p for x > 0, else 0, for several p at the price of one logarithm.
+    """x^p for x > 0, else 0, for several p. Where every p is 1, 1.5 or 2 (linear springs, spheres, cones, as almost always),
+    products and a root give it, else a logarithm and an exponential for each.
 
-    Saves the gradient of x^p at 0 (infinite for p < 1, NaN for traced p).
+    Its derivatives are p x^p / x and x^p log(x), and 0 for x <= 0: saves the gradient of x^p at 0 (infinite for p < 1, NaN
+    for traced p).
     """
+    shape = jnp.broadcast_shapes(x.shape, *(p.shape for p in exponents))
+    base, exponents = jnp.where(x > 0, x, 0.0), tuple(jnp.broadcast_to(p, shape) for p in exponents)
+    plain = [(p == 1.0) | (p == 1.5) | (p == 2.0) for p in exponents]
+    others = any_of_batch(~jnp.all(jnp.stack([jnp.all(p) for p in plain])))
+    return lax.cond(others, _by_logarithm, _by_products, jnp.broadcast_to(base, shape), exponents)
+
+
+def _by_logarithm(x: Array, exponents: tuple[Array, ...]) -> tuple[Array, ...]:
     positive = x > 0
     log = jnp.log(jnp.where(positive, x, 1.0))
     return tuple(jnp.where(positive, jnp.exp(p * log), 0.0) for p in exponents)
+
+
+def _by_products(x: Array, exponents: tuple[Array, ...]) -> tuple[Array, ...]:
+    root = jnp.sqrt(x)
+    return tuple(x * jnp.where(p == 1.0, 1.0, jnp.where(p == 2.0, x, root)) for p in exponents)
+
+
+@powers.defjvp
+def _powers_jvp(
+    given: tuple[Array, tuple[Array, ...]], moved: tuple[Array, tuple[Array, ...]]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    (x, exponents), (dx, dps) = given, moved
+    values = powers(x, exponents)
+    safe = jnp.where(x > 0, x, 1.0)
+    change, log = jnp.where(x > 0, dx, 0.0) / safe, jnp.log(safe)
+    return values, tuple(v * (p * change + log * dp) for v, p, dp in zip(values, exponents, dps, strict=True))
 
 
 def power(x: Array, exponent: Array) -> Array:

@@ -159,6 +159,8 @@ def by_circle(kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | i
     flat = values.reshape(values.shape[0], -1, values.shape[3])
     if kept.slot is None or kept.has_slot is None:
         return flat[:, rows * kind + which]
-    offset = jnp.asarray(np.broadcast_to(rows * kind, which.shape)[:, None], kept.slot.dtype)
-    held = jnp.take_along_axis(flat, (offset + kept.slot[which])[None], axis=1)
-    return jnp.where(kept.has_slot[which], held, 0.0)
+    kinds = np.broadcast_to(kind, which.shape)
+    held = kept.slot[which]
+    # A choice among few slots: a gather would fetch its numbers one by one.
+    chosen = sum(jnp.where(held == k, flat[:, rows * kinds + k], 0.0) for k in range(rows))
+    return jnp.where(kept.has_slot[which], chosen, 0.0)
