@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    base: words names record_html records files folders terminal toml_text limits smooth once batching
+    base: words names record_html records files folders terminal toml_text limits batching smooth once
     tuning plot_style
     pair: shapes skin law
     input: parts packing check_values check_rules check_records paths scene_file stacking
