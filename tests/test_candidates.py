@@ -1,30 +1,131 @@
-"""Which bodies a search keeps: the nearest, in the order of a stable sort, few compared with each other, many sorted."""
+"""Which pairs a search lists, how long they last, and what tells that they did not."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases.scenes import draw
 
-from diffeed.contact.candidates import RANKED, _smallest
+import diffeed
+from diffeed import FixedRoller, Sheet
+from diffeed.base.records import replace
+from diffeed.chain.kinematics import nodes, pose
+from diffeed.chain.state import initial_state
+from diffeed.contact import candidates
+from diffeed.contact.bodies import bodies
+from diffeed.contact.candidates import Capacities, Watched, _approach, _most_urgent, _watched, capacities
+from diffeed.contact.features import features
+from diffeed.contact.kept import keep_all
+from diffeed.contact.near import circles_near, guides_near
+from diffeed.faults.causes import CAUSES, TOO_MANY_NEAR
+from diffeed.input.parts import normalise
+from diffeed.model.build import build
 
 
-@pytest.mark.parametrize("n", [7, RANKED, RANKED + 1])
+def watched(gap) -> Watched:
+    zero = jnp.zeros_like(gap)
+    return Watched(gap, zero, zero + 1.0, zero == 0.0, None, 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 7, 40])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_nearest_are_kept(n, seed):
-    """Equal gaps among them, and bodies that are not there."""
+def test_the_most_urgent_pairs_are_listed(count, seed):
+    """Those whose gap is the smallest share of what may close; pairs that are not there come last."""
     rng = np.random.default_rng(seed)
-    gap = rng.integers(-3, 4, size=(n, 11)).astype(float)
+    gap = rng.normal(size=(9, 11))
     gap[rng.random(gap.shape) < 0.3] = np.inf
-    count = 5
-    order = np.argsort(gap, axis=0, kind="stable")
-    index, free = jax.jit(_smallest, static_argnums=1)(jnp.asarray(gap), count)
-    np.testing.assert_array_equal(index, order[:count])
-    assert index.dtype == jnp.int32
-    assert float(free) == np.take_along_axis(gap, order, axis=0)[count].min()
+    reach = rng.uniform(0.5, 3.0, gap.shape)
+    body, feature, rest, last = jax.jit(_most_urgent, static_argnums=2)(watched(jnp.asarray(gap)), reach, count)
+    order = np.argsort((gap / reach).ravel())
+    assert sorted(np.asarray(body) * 11 + np.asarray(feature)) == sorted(order[:count])
+    assert float(last) == (gap / reach).ravel()[order[count]]
+    left = np.asarray(rest.gap).ravel()
+    assert np.all(left[order[:count]] == np.inf)
+    np.testing.assert_array_equal(left[order[count:]], gap.ravel()[order[count:]])
 
 
-def test_no_body_is_kept_twice():
-    """None within reach: twice the same body would be felt twice."""
-    index, free = _smallest(jnp.full((8, 3), jnp.inf), 4)
-    np.testing.assert_array_equal(index, np.tile(np.arange(4)[:, None], (1, 3)))
-    assert float(free) == np.inf
+def test_no_pair_is_listed_twice():
+    """None within reach: twice the same pair would be felt twice."""
+    body, feature, _, last = _most_urgent(watched(jnp.full((8, 3), jnp.inf)), jnp.ones((8, 3)), 10)
+    assert len(set(np.asarray(body) * 3 + np.asarray(feature))) == 10
+    assert float(last) == np.inf
+
+
+def seen(model, state):
+    """All pairs of all families as a search sees them, and whether they touch."""
+    at, world, kept = pose(model, state), bodies(model, state, state.time, state.time), keep_all(model)
+    rows, found = features(model, at), []
+    for family, near in (
+        ("circles", circles_near(model, rows, world, kept)),
+        ("lines", guides_near(model, rows, world, kept._replace(arcs=None))),
+        ("arcs", guides_near(model, rows, world, kept._replace(lines=None))),
+    ):
+        found.append((_watched(model, near, kept, family), (near.gap < 0) & (near.weight > 0)))
+    return found
+
+
+@pytest.mark.parametrize("skin", ["bars", "smooth"])
+@pytest.mark.parametrize("seed", range(12))
+def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
+    """A sheet carried and bent at random among lines, arcs and circles: whatever touches then had come near enough along the
+    normal of before."""
+    scene = normalise(replace(draw("guided", seed), skin=skin))
+    model, rng = build(scene), np.random.default_rng(seed)
+    start = initial_state(model, scene)
+    n = model.layout.n_bars
+    told = touched = quiet = 0
+    for size in (0.3, 3.0, 10.0):
+        state = replace(start, y=start.y + 2.0, heading=start.heading + 0.2 * rng.normal(size=n))
+        after = replace(
+            state,
+            x=state.x + size * rng.normal(),
+            y=state.y + size * rng.normal(),
+            heading=state.heading + 0.03 * size * rng.normal(size=n),
+        )
+        (x0, y0), (x1, y1) = (nodes(model, pose(model, s)) for s in (state, after))
+        way = (x1 - x0, y1 - y0)
+        still = jnp.zeros((len(model.circle_names),))
+        furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1]))
+        for (before, touches), (_, touches_then) in zip(seen(model, state), seen(model, after), strict=True):
+            nearer = _approach(model, before, way, (still, still)) + before.bend * furthest**2
+            warned = np.asarray(nearer > before.gap)
+            new = np.asarray(touches_then & ~touches)
+            assert not np.any(new & ~warned)
+            told, touched, quiet = told + warned.sum(), touched + new.sum(), quiet + (~warned).sum()
+    assert quiet > 100, "a warning that is always given says nothing"
+    assert touched > 0 or told > 0
+
+
+def pressed() -> diffeed.Scene:
+    """Both faces of all bars touch."""
+    rollers = {
+        "lower": FixedRoller(center=(-10.0, -10.1), radius=10.0, surface_speed=-2000.0),
+        "upper": FixedRoller(center=(-10.0, 10.1), radius=10.0, surface_speed=2000.0),
+    }
+    sheet = Sheet(length=8.0, width=10.0, thickness=0.2, density=1e-6, youngs_modulus=3000.0, bars=2, lead=(-6.0, 0.0))
+    contacts = {"default": diffeed.Contact()}
+    return diffeed.Scene(
+        sheets={"strip": sheet}, rollers=rollers, contacts=contacts, gravity=(0.0, 0.0), initial="given"
+    )
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-2])
+def test_a_list_that_was_too_short_is_told(tolerance, monkeypatch):
+    scene = normalise(pressed())
+    assert not capacities(build(scene)).listed, "so few are kept whole"
+    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(4, 0, 0))
+    jax.clear_caches()  # programs know nothing of the change
+    run = diffeed.simulate(scene, duration=2e-4, dt=1e-5, frames=2, tolerance=tolerance, most_steps=100)
+    jax.clear_caches()
+    assert not bool(run.ok)
+    assert int(run.failure.cause) == TOO_MANY_NEAR, CAUSES[int(run.failure.cause)]
+
+
+def test_a_list_that_is_too_short_for_long_steps_lasts_for_shorter_ones():
+    found = candidates.Candidates(*[None] * 10)._replace(lasts=jnp.asarray(0.25))
+    then, span = candidates.for_as_long_as_they_last(found, jnp.asarray(8e-3))
+    assert float(span) == 2e-3
+    assert bool(then.complete)
+    then, span = candidates.for_as_long_as_they_last(found._replace(lasts=jnp.asarray(-0.1)), jnp.asarray(8e-3))
+    assert float(span) == 0.0
+    assert not bool(then.complete)

@@ -437,6 +437,6 @@ def _contacts(scene: Scene, key):
     touching = look(model, state)[2]
     return (
         touching,
-        features(model, look(model, state)[0])[0].friction_factor[0],
+        features(model, look(model, state)[0])[0].own.friction_factor[0],
         (model.surface.column(), model.pair_surface),
     )

@@ -60,7 +60,7 @@ def _forces_both_ways(scene: Scene, span):
     at, world, _ = look(model, state)
     found = search(model, state, span)
     forces = [
-        pair_terms(model, sheet_contacts(model, at, world, kept), at, Step(jnp.ones(()), False))
+        pair_terms(model, sheet_contacts(model, at, world, kept), at, Step(jnp.ones(()), False), kept)
         for kept in (found.kept, keep_all(model))
     ]
     return [jnp.stack([f.fx, f.fy, f.fw]) for f in forces], found.complete
@@ -71,7 +71,7 @@ def _forces_both_ways(scene: Scene, span):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_candidates_leave_no_force_out(structure, span, seed):
     scene = posts(np.random.default_rng(seed)) if structure == "posts" else draw(structure, seed)
-    assert candidates.slots(build(scene)).any, "the scene must be large enough for a search"
+    assert candidates.capacities(build(scene)).listed, "the scene must be large enough for a search"
     (kept, whole), complete = _forces_both_ways(scene, jnp.asarray(span))
     assert bool(complete)
     assert float(jnp.max(jnp.abs(whole))) > 0.01 * NEWTON
@@ -108,9 +108,9 @@ def test_search_among_rollers_changes_no_run(path, backed, monkeypatch):
     scene = normalise(scene)
     searched = run(scene, "linear_euler")
     assert searched.ok, searched.failure.describe()
-    slots = candidates.slots(build(scene))
-    assert slots.pairs is not None
-    assert slots.pairs * path["nips"] < 0.5 * len(build(scene).pairs)
+    partners = candidates.capacities(build(scene)).partners
+    assert partners is not None
+    assert partners * path["nips"] < 0.5 * len(build(scene).pairs)
     whole = _run_with_every_pair(scene, "linear_euler", monkeypatch)
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
     lying = np.asarray(searched.rollers.block.travel)
@@ -185,7 +185,7 @@ def test_search_among_the_bodies_close_by_changes_no_run(monkeypatch):
 
 
 def _run_with_every_pair(scene: Scene, method: str, monkeypatch):
-    monkeypatch.setattr(candidates, "slots", lambda model: candidates.Slots(None, None, None))
+    monkeypatch.setattr(candidates, "capacities", lambda model: candidates.Capacities())
     counts = plan(DURATION, DT, 3)
     return jax.jit(lambda s: _simulate.__wrapped__(s, DURATION / counts.total, None, counts, method, ()))(scene)
 
@@ -304,7 +304,7 @@ def _felt(scene: Scene, x, y):
         moved = replace(scene, guides={"post": post})
         model = build(moved)
         at, _, touching = look(model, begin(moved))
-        terms = pair_terms(model, touching.sheets, at, Step(jnp.ones(()), False))
+        terms = pair_terms(model, touching.sheets, at, Step(jnp.ones(()), False), keep_all(model))
         moment = jnp.sum(terms.fw + at.x * terms.fy - at.y * terms.fx)
         return jnp.stack([jnp.sum(terms.fx), jnp.sum(terms.fy), moment]) / NEWTON
 

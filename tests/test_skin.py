@@ -13,7 +13,7 @@ from diffeed.base.records import replace
 from diffeed.chain import kinematics
 from diffeed.chain.state import initial_state
 from diffeed.contact import near
-from diffeed.contact.candidates import search, slots
+from diffeed.contact.candidates import capacities, search
 from diffeed.contact.kept import keep_all
 from diffeed.forces.contacts import Contacts, contacts, pair_terms
 from diffeed.forces.rollers import border
@@ -153,7 +153,7 @@ def test_bars_feel_together_what_the_skin_feels():
     at, world, touching = look(model, state)
     pairs = touching.sheets
     assert pairs is not None
-    terms = pair_terms(model, pairs, at, Step(jnp.ones(()), False))
+    terms = pair_terms(model, pairs, at, Step(jnp.ones(()), False), keep_all(model))
     push, rub = pairs.touch.force, pairs.touch.friction
     fx, fy = push * pairs.nx + rub * pairs.ny, push * pairs.ny - rub * pairs.nx
     assert np.sum(np.asarray(push) > 0) >= 2
@@ -162,7 +162,7 @@ def test_bars_feel_together_what_the_skin_feels():
     reach = model.circles.radius[:, None] + pairs.gap[:n]
     px, py = (c[:n, None] + k[:n] * reach for c, k in ((world.circles.x, pairs.nx), (world.circles.y, pairs.ny)))
     circles = jax.tree.map(lambda v: v if v.ndim == 0 else v.at[n:].set(0.0), pairs.touch)
-    alone = pair_terms(model, pairs._replace(touch=circles), at, Step(jnp.ones(()), False))
+    alone = pair_terms(model, pairs._replace(touch=circles), at, Step(jnp.ones(()), False), keep_all(model))
     moment = jnp.sum(at.x * alone.fy - at.y * alone.fx + alone.fw)
     assert float(moment) == pytest.approx(float(jnp.sum(px * fy[:n] - py * fx[:n])), rel=1e-10)
     # The bodies' own surface speeds: the roller turns.
@@ -178,7 +178,7 @@ def test_frames_show_what_bars_feel():
     state = initial_state(model, scene)
     at, _, touching = look(model, state)
     force, x, y = contact_on_bars(model, touching)
-    terms = pair_terms(model, touching.sheets, at, Step(jnp.ones(()), False))
+    terms = pair_terms(model, touching.sheets, at, Step(jnp.ones(()), False), keep_all(model))
     np.testing.assert_allclose(x, terms.fx / NEWTON, atol=1e-12)
     np.testing.assert_allclose(y, terms.fy / NEWTON, atol=1e-12)
     assert float(force.sum()) == pytest.approx(float(touching.sheets.touch.force.sum()) / NEWTON)
@@ -205,19 +205,22 @@ def test_gradients_of_a_contact_force():
 
 
 def test_a_pruned_search_finds_the_same_forces():
-    """Many circles under two sheets: the slots of each piece hold all that touch."""
+    """Many circles under two sheets: the list holds all that touch."""
     circles = {f"c{k}": CircleGuide(center=(3.0 * k - 40.0, -3.04), radius=3.0) for k in range(24)}
     sheets = {n: Sheet(length=20.0, bars=b, lead=(x, 0.0), **PAPER) for n, b, x in (("a", 5, 0.0), ("b", 3, 25.0))}
     scene = normalise(Scene(sheets=sheets, guides=circles, initial="given", skin="smooth"))
     model = build(scene)
-    assert slots(model).any
+    assert capacities(model).listed
     state = initial_state(model, scene)
     at, world, touching = look(model, state)
     found = search(model, state, jnp.asarray(1e-3))
     assert bool(found.complete)
     pruned = contacts(model, at, world, found.kept, None)
-    for whole, part in zip(contact_on_bars(model, touching), contact_on_bars(model, pruned), strict=True):
-        np.testing.assert_allclose(part, whole, atol=1e-12)
+    step = Step(jnp.asarray(1e-4), True)
+    whole = pair_terms(model, touching.sheets, at, step, keep_all(model))
+    part = pair_terms(model, pruned.sheets, at, step, found.kept)
+    for name, expected, actual in zip(whole._fields, whole, part, strict=True):
+        np.testing.assert_allclose(actual, expected, atol=1e-12 * np.abs(expected).max(), err_msg=name)
     assert float(contact_on_bars(model, touching)[0].min()) > 0
 
 

@@ -1,19 +1,19 @@
-"""Which pairs can touch soon: the nearest bodies of every feature, searched once per block of steps.
+"""Which pairs can touch soon: the most urgent ones, searched once per block of steps and listed.
 
-Contact forces have compact support, so leaving out pairs that are further apart than they can close is exact. The search
-is a full sweep of gaps; it keeps a fixed number of bodies per feature (`slots`). Two things would make it wrong, and both
-are told as data: more bodies within reach than slots, and a sheet that moved further than the reach (`check_reach`).
-Where the steps are not given, the first can be helped: the next search is made earlier (`for_as_long_as_they_last`).
+Contact forces have compact support, so leaving out pairs that do not touch is exact. The search is a full sweep of gaps and
+of the speeds at which they close; it lists a fixed number of pairs of each family (`capacities`), those first whose gap is
+soonest used up. When the block is done every pair that was left out is looked at again (`check_reach`): bodies are convex (an
+arc that is nearly so), so a gap shrinks at most by what the sheet has come nearer along the normal that it had. Had one been used
+up, that is told as data. Where the steps are not given, the next search is made before (`for_as_long_as_they_last`).
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.once import computed_once
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, spins
@@ -23,51 +23,55 @@ from diffeed.contact.near import Closest, circles_near, guides_near
 from diffeed.contact.roller_pairs import roller_gaps
 from diffeed.model.arrays import Model, Path
 
-MOST_SLOTS = 12
 REACH = 0.5
-"""mm that everything may move beyond what its present speed explains."""
+"""mm by which any gap may shrink beyond what its present speed explains."""
 MARGIN = 2.0
-"""Times the distance that the present speed covers until the next search."""
+"""Times the distance by which a gap closes at its present speed until the next search."""
+TURNING = 0.25
+"""Of the way that the fastest part makes until then: what may turn towards a body that it now passes."""
 
 
 SIZE = 100.0
 """mm from its pivot to the far end of a swinging guide; larger ones are caught by the margin."""
 
 
-RANKED = 40
-"""Bodies up to which every one is compared with every other: sorting them is dearer (measured, one CPU core)."""
+SIDES = 2
+"""Guides of a family that a feature may touch at once: a sheet may run between two."""
+MANY_CIRCLES = 32
+"""Circles that a few long bars may touch, each with one of them."""
+WORTH = 0.75
+"""Of all pairs: a longer list is not worth the gathering."""
 
 
 PAIRS = 4
 """Partners kept for each movable roller: a pinch has its drive, and room for what else may come near."""
 
 
-class Slots(NamedTuple):
-    """Bodies kept per feature and family, and partners of each movable roller; None: few enough to be kept whole."""
+class Capacities(NamedTuple):
+    """Pairs listed with circles, lines and arcs, and partners of each movable roller; None: few enough to be kept whole."""
 
-    circles: int | None
-    lines: int | None
-    arcs: int | None
-    pairs: int | None = None
+    circles: int | None = None
+    lines: int | None = None
+    arcs: int | None = None
+    partners: int | None = None
+
+    @property
+    def listed(self) -> bool:
+        return self.circles is not None
 
     @property
     def any(self) -> bool:
-        return any(n is not None for n in self)
+        return self.listed or self.partners is not None
 
 
-def slots(model: Model) -> Slots:
-    """Static choice from counts: more bodies per bar need more slots."""
-
-    def choose(count: int) -> int | None:
-        wanted = min(MOST_SLOTS, 4 + -(-2 * count // model.layout.n_bars))
-        return wanted if count > wanted else None
-
-    return Slots(
-        circles=choose(len(model.circle_names)),
-        lines=choose(len(model.lines.names)),
-        arcs=choose(len(model.arcs.names)),
-        pairs=PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None,
-    )
+def capacities(model: Model) -> Capacities:
+    """Static choice from counts: whether pairs are listed, and how many."""
+    f, counts = model.layout.tail.shape[0], [len(v) for v in (model.circle_names, model.lines.names, model.arcs.names)]
+    whole = [f * n for n in counts]
+    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f, SIDES * f)
+    few = [min(pair) for pair in zip(whole, most, strict=True)]
+    partners = PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None
+    return Capacities._make([*few, partners]) if sum(few) < WORTH * sum(whole) else Capacities(partners=partners)
 
 
 AT_LEAST, PER_BAR = 32, 2
@@ -75,77 +79,177 @@ AT_LEAST, PER_BAR = 32, 2
 looked at whole."""
 
 
+class Watched(NamedTuple):
+    """Pairs of a family as a search saw them, (bodies, features) each; a gap is infinite where the pair is listed."""
+
+    gap: Array  # mm
+    nx: Array
+    ny: Array
+    straight: (
+        Array  # bool: the normal leads away from the body; else (behind a thin guide) either way may lead towards it
+    )
+    body: Array | None  # (bodies, 1) which circle it is; None: guides
+    bend: Array | float  # 1/mm by which a gap closes as the square of the way along a hollow body
+
+
 class Candidates(NamedTuple):
-    """Kept bodies, the reach that they were chosen for, and the reach within which no other body is."""
+    """Kept pairs, and what tells whether they were enough."""
 
     kept: Kept
-    reach: Array  # mm
-    free: Array  # mm
+    lasts: Array  # of the time that was asked for: how long no other pair can come to touch; 1 or more: all of it
+    watched: tuple[Watched, ...]
+    free: Array  # mm: no body that was not looked at is nearer
+    apart: Array  # mm: no roller that was left out is nearer to a movable one
     x: Array  # node positions at the search
     y: Array
     travel: Array
     pace: Array  # mm/s: no surface of a roller or guide moves faster
-    run_up: Array  # mm by which two movable rollers may come nearer beyond `reach`
+    moved: Array  # mm that guides may have moved until the next search
 
     @property
     def complete(self) -> Array:
-        """Bool: all bodies within reach found a slot."""
-        return self.reach <= self.free
+        """Bool: all pairs that can come to touch were listed."""
+        return self.lasts >= 1.0
 
 
 def search(model: Model, state: State, span: Array) -> Candidates:
     """Candidates for the next `span` seconds. What is kept has derivatives, how it was chosen has none."""
     index, measured = _choose(lax.stop_gradient(model), lax.stop_gradient(state), span)
-    return Candidates(keep_all(model) if index is None else keep(model, *index), *measured)
+    return Candidates(keep_all(model) if index is None else keep(model, **index), *measured)
 
 
-def _choose(model: Model, state: State, span: Array) -> tuple[list[Array | None] | None, tuple[Array, ...]]:
+def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
     """Indices of what to keep (None: everything), and all else that `Candidates` hold."""
     at = pose(model, state)
     x, y = nodes(model, at)
-    size, pace = slots(model), _fastest_surface(model, state, span)
+    size, pace, moved = capacities(model), _fastest_surface(model, state, span), span * _fastest_guide(model)
+    never = jnp.full((), jnp.inf, x.dtype)
     if not model.has_bodies or not size.any:
-        always = jnp.full((), jnp.inf)
-        return None, (always, always, x, y, state.travel, pace, always)
-    world, rows = bodies(model, state, state.time, state.time), features(model, at)
-    close = _close_by(model, world, x, y)
+        return None, (never, (), never, never, x, y, state.travel, pace, moved)
+    world = bodies(model, state, state.time, state.time)
+    index: dict[str, Array | None] = dict.fromkeys(("circles", "lines", "arcs"))
+    lasts, watched, free, apart = never, (), never, never
+    if size.listed:
+        index, lasts, watched, free = _list(model, at, world, span, pace, moved)
+    if size.partners is not None:
+        index["partners"], apart = _partners(model, world, size.partners)
+        reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
+        lasts = jnp.minimum(lasts, apart / (reach + _run_up(model, state, span)))
+    return index, (lasts, watched, free, apart, x, y, state.travel, pace, moved)
+
+
+def _list(
+    model: Model, at: Pose, world: Bodies, span: Array, pace: Array, moved: Array
+) -> tuple[dict[str, Array | None], Array, tuple[Watched, ...], Array]:
+    """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
+    x, y = nodes(model, at)
+    velocity, fastest = node_velocities(model, at), _fastest_node(model, at) + pace
+    close, size = _close_by(model, world, x, y), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
-    reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
-    found, free = [], []
+    rows = features(model, at)
     families = (
         lambda: circles_near(model, rows, world, looked_at),
         lambda: guides_near(model, rows, world, looked_at._replace(arcs=None)),
         lambda: guides_near(model, rows, world, looked_at._replace(lines=None)),
     )
-    depths = (None, model.lines.faces.depth, model.arcs.faces.depth)
-    for near, depth, count, of in zip(families, depths, size[:3], close, strict=True):
-        index, next_gap = None, jnp.inf
-        if count is not None:
-            index, next_gap = _nearest(near(), depth, count, model, of)
-        found.append(index)
-        free.append(next_gap)
-    run_up = jnp.full((), jnp.inf, reach.dtype)
-    if size.pairs is not None:
-        run_up = _run_up(model, state, span)
-        partner, which = model.pairs_by_roller
-        mine = np.broadcast_to(np.arange(len(partner))[:, None], partner.shape)
-        gap = jnp.where(which < 0, jnp.inf, roller_gaps(model, world, (mine, partner))[3])
-        closest, index = lax.top_k(-gap, size.pairs + 1)
-        found.append(index[:, :-1])
-        next_gap = -jnp.max(closest[:, -1])
-        free.append(next_gap * reach / (reach + run_up))  # the two shrink together where a search is made earlier
-    limit = functools.reduce(jnp.minimum, free)
-    limit = jnp.asarray(limit, reach.dtype)
-    return found, (reach, limit, x, y, state.travel, pace, run_up)
+    unasked = REACH + TURNING * span * fastest + moved
+    found, watched, features_of, lasts = [], [], [], []
+    free = jnp.full((), jnp.inf, x.dtype)
+    for near, family, count, of in zip(families, ("circles", "lines", "arcs"), size[:3], close, strict=True):
+        if not count:
+            found.append(None)
+            continue
+        seen = _watched(model, near(), looked_at, family)
+        closing = jnp.maximum(_approach(model, seen, velocity, (world.circles.vx, world.circles.vy)), 0.0)
+        body, feature, seen, last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
+        found.append(body if of is None else of.which[body])
+        features_of.append(feature)
+        watched.append(seen)
+        lasts.append(last)
+        free = free if of is None else jnp.minimum(free, of.free)
+    lasts.append(free / (REACH + MARGIN * span * fastest))
+    index = dict(zip(("circles", "lines", "arcs"), found, strict=True))
+    return index | {"feature": jnp.concatenate(features_of)}, jnp.min(jnp.stack(lasts)), tuple(watched), free
+
+
+def _watched(model: Model, near: Closest, kept: Kept, family: str) -> Watched:
+    """The pairs of a family with the way that each has before it touches."""
+    shape = near.gap.shape
+    if family == "circles":
+        n = shape[0]
+        body = jnp.arange(n, dtype=jnp.int32)[:, None] if kept.circle_index is None else kept.circle_index
+        gap = jnp.where(kept.active > 0, near.gap, jnp.inf)
+        return Watched(gap, near.nx, near.ny, jnp.ones(shape, bool), body, 0.0)
+    guides = kept.lines if family == "lines" else kept.arcs
+    assert guides is not None
+    # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
+    felt = near.weight > 0
+    gap = near.gap - jnp.where(felt, 0.0, guides.faces.depth)
+    # A way along the inside of an arc of radius R leads outwards by its square over 2 R, twice that from half as far out.
+    bend = 0.0 if kept.arcs is None or family == "lines" else jnp.maximum(kept.arcs.side, 0.0) / kept.arcs.radius
+    return Watched(gap, near.nx, near.ny, felt, None, bend)
+
+
+def _approach(model: Model, seen: Watched, moved: tuple[Array, Array], of_circles: tuple[Array, Array]) -> Array:
+    """By how much gaps shrink as nodes and circles move, (bodies, features): by speeds (mm/s) or ways (mm).
+
+    What touches lies between some nodes, so it comes no nearer along a normal than the one that comes nearest.
+    """
+    x, y = moved[0][None, :], moved[1][None, :]
+    if seen.body is not None:
+        bx, by = of_circles[0][seen.body], of_circles[1][seen.body]
+        from_body = seen.nx * bx + seen.ny * by
+    else:
+        from_body = 0.0
+    ends = [(x, y)]
+    if model.skin == "smooth" or seen.body is not None:
+        ends.append((_behind(model, x), _behind(model, y)))  # a bar's rear node
+    if model.skin == "smooth":
+        ends.append((_in_front(model, x), _in_front(model, y)))
+    nearer = [from_body - (seen.nx * dx + seen.ny * dy) for dx, dy in ends]
+    either = functools.reduce(jnp.maximum, [jnp.abs(v) for v in nearer])
+    return jnp.where(seen.straight, functools.reduce(jnp.maximum, nearer), either)
+
+
+def _behind(model: Model, values: Array) -> Array:
+    """(1, features) of each feature's node -> of the node behind it in its sheet; a tail's own."""
+    return jnp.where(model.layout.tail[None, :], values, jnp.roll(values, -1, axis=1))
+
+
+def _in_front(model: Model, values: Array) -> Array:
+    """The same of the node in front; a lead's own."""
+    return jnp.where(model.layout.first_feature[None, :], values, jnp.roll(values, 1, axis=1))
+
+
+def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Array, Watched, Array]:
+    """Bodies and features, (count,) each, of the pairs whose gaps are soonest used up; all others, and how long they last."""
+    urgency, n_features = (seen.gap / reach).ravel(), seen.gap.shape[1]
+    if count >= urgency.shape[0]:
+        chosen = jnp.arange(urgency.shape[0], dtype=jnp.int32)
+        last = jnp.full((), jnp.inf, urgency.dtype)
+        rest = seen._replace(gap=jnp.full_like(seen.gap, jnp.inf))
+    else:
+        # Single precision finds the first of many in a tenth of the time; which of two about equal pairs it takes is the same.
+        chosen = lax.top_k(-urgency.astype(jnp.float32), count)[1]
+        gap = seen.gap.ravel().at[chosen].set(jnp.inf)
+        rest, last = seen._replace(gap=gap.reshape(seen.gap.shape)), jnp.min(urgency.at[chosen].set(jnp.inf))
+    body, feature = chosen // n_features, chosen % n_features
+    return body, feature, rest, last
+
+
+def _partners(model: Model, world: Bodies, count: int) -> tuple[Array, Array]:
+    """(movable, count) which partners of each movable roller are nearest, and the smallest gap of all others."""
+    partner, which = model.pairs_by_roller
+    mine = np.broadcast_to(np.arange(len(partner))[:, None], partner.shape)
+    gap = jnp.where(which < 0, jnp.inf, roller_gaps(model, world, (mine, partner))[3])
+    closest, index = lax.top_k(-gap, count + 1)
+    return index[:, :-1], -jnp.max(closest[:, -1])
 
 
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
-    """Candidates for the part of `span` in which no further body can come near, and that time (s)."""
-    reach = jnp.minimum(found.reach, found.free)
-    share = jnp.where(jnp.isfinite(found.reach), reach / found.reach, 1.0)
-    share = jnp.maximum(share, 0.0)
-    run_up = jnp.where(jnp.isfinite(found.run_up), share * found.run_up, found.run_up)
-    return found._replace(reach=reach, run_up=run_up), span * share
+    """Candidates for the part of `span` in which no further pair can come to touch, and that time (s)."""
+    share = jnp.clip(found.lasts, 0.0, 1.0)
+    return found._replace(lasts=jnp.where(share > 0, jnp.maximum(found.lasts, 1.0), found.lasts)), span * share
 
 
 class Close(NamedTuple):
@@ -179,32 +283,6 @@ def _closest(cx: Array, cy: Array, radius: Array, x: Array, y: Array, thick: Arr
     return Close(index[:-1], -closest[-1])
 
 
-def _nearest(near: Closest, depth: Array | None, count: int, model: Model, of: Close | None) -> tuple[Array, Array]:
-    """(slots, features) indices of the nearest bodies, and the smallest gap of all others."""
-    gap, every = near.gap, slice(None) if of is None else of.which
-    if depth is None:
-        gap = jnp.where(model.circles.active[every, None] > 0, gap, jnp.inf)
-    else:
-        # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-        gap = gap - jnp.where(near.weight > 0, 0.0, depth[every, None])
-    index, free = _smallest(gap, count)
-    return (index, free) if of is None else (of.which[index], jnp.minimum(free, of.free))
-
-
-def _smallest(gap: Array, count: int) -> tuple[Array, Array]:
-    """(count, features) rows of the smallest gaps of each feature, and the smallest gap of all others. Equals in their order."""
-    n = gap.shape[0]
-    if n > RANKED:
-        closest, index = lax.top_k(-gap.T, count + 1)
-        return index[:, :count].T, -jnp.max(closest[:, count])
-    gap = computed_once(gap)
-    rows, earlier = np.arange(n, dtype=np.int32)[None, :, None], np.tri(n, k=-1, dtype=bool)[:, :, None]
-    is_ahead = (gap[None] < gap[:, None]) | ((gap[None] == gap[:, None]) & earlier)
-    rank = jnp.sum(is_ahead, axis=1, dtype=np.int32)
-    index = jnp.sum(jnp.where(rank[None] == rows[0, :count, None], rows, 0), axis=1, dtype=np.int32)
-    return index, jnp.min(jnp.where(rank >= count, gap, jnp.inf))
-
-
 def _fastest_node(model: Model, at: Pose) -> Array:
     vx, vy = node_velocities(model, at)
     return jnp.max(jnp.abs(vx) + jnp.abs(vy))
@@ -216,9 +294,12 @@ def _fastest_surface(model: Model, state: State, span: Array) -> Array:
     speeds = [jnp.max(jnp.abs(state.travel_rate), initial=0.0)]
     surface = [jnp.abs(spins(model, state, time) * model.rollers.radius) for time in (state.time, state.time + span)]
     speeds.append(jnp.max(jnp.maximum(*surface), initial=0.0))
-    for path in model.paths.values():
-        speeds.append(_path_speed(path))
-    return sum(speeds[1:], speeds[0])
+    return speeds[0] + speeds[1] + _fastest_guide(model)
+
+
+def _fastest_guide(model: Model) -> Array:
+    """A bound on the speed of guides and rollers on their paths, mm/s."""
+    return sum((_path_speed(path) for path in model.paths.values()), jnp.zeros(()))
 
 
 def _run_up(model: Model, state: State, span: Array) -> Array:
@@ -239,8 +320,21 @@ def _path_speed(path: Path) -> Array:
 
 
 def check_reach(model: Model, found: Candidates, after: State) -> Array:
-    """Whether the candidates were good until `after`: nothing moved further than the search reached."""
+    """Whether the candidates were good until `after`: no pair that was left out has come to touch."""
     x, y = nodes(model, pose(model, after))
-    travel = jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
-    moved = jnp.max(jnp.abs(x - found.x) + jnp.abs(y - found.y)) + travel
-    return found.complete & ~(moved > found.reach) & ~(2.0 * travel > found.reach + found.run_up)
+    way, travel = (x - found.x, y - found.y), after.travel - found.travel
+    furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1])) + found.moved
+    if model.rollers.n_movable:
+        furthest = furthest + jnp.max(jnp.abs(travel))
+    good = ~(furthest > found.free)
+    if capacities(model).partners is not None:
+        good &= ~(2.0 * jnp.max(jnp.abs(travel)) > found.apart)
+    still = jnp.zeros((len(model.circle_names) - model.rollers.n_movable,))
+    circles = (
+        jnp.concatenate([model.rollers.dir_x * travel, still]),
+        jnp.concatenate([model.rollers.dir_y * travel, still]),
+    )
+    for seen in found.watched:
+        nearer = _approach(model, seen, way, circles) + found.moved + seen.bend * furthest**2
+        good &= ~jnp.any(nearer > seen.gap)
+    return good

@@ -9,6 +9,7 @@ import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -16,8 +17,20 @@ from diffeed.chain.kinematics import Pose, from_nodes, pieces_to_bars, to_nodes,
 from diffeed.model.arrays import Model
 
 
+class Own(NamedTuple):
+    """What a feature has of its bar and of its place in the sheet, whatever moves; (1, features) or (pairs,)."""
+
+    half_length: Array
+    half_thickness: Array
+    friction_factor: Array
+    end: Array  # +1: its point is the bar's front node; -1: the rear node (tails)
+    first: Array  # bool: the first feature of its sheet
+    last: Array  # bool: the last bar
+    tail: Array  # bool: the tail
+
+
 class Features(NamedTuple):
-    """A bar for each feature of the sheets, (1, features): its own, or one of the two that it hangs on."""
+    """A bar for each feature of the sheets, (1, features) or (pairs,): its own, or one of the two that it hangs on."""
 
     x: Array
     y: Array
@@ -26,26 +39,63 @@ class Features(NamedTuple):
     vx: Array
     vy: Array
     w: Array
-    half_length: Array
-    half_thickness: Array
-    friction_factor: Array
-    end: Array  # +1: its point is the bar's front node; -1: the rear node (tails)
+    ahead: tuple[
+        Array, ...
+    ]  # axis (cos, sin) of the bar in front; of no meaning at the first, nothing on the smooth skin
+    behind: tuple[Array, ...]  # and of the bar behind; of no meaning at the last and at tails
+    own: Own
 
 
-def features(model: Model, at: Pose) -> tuple[Features, ...]:
-    """Bars laid out as features, sheet after sheet: each feature's own, or the one in front of it and the one behind it."""
-    bars = model.bars
-    end = jnp.asarray(1.0 - 2.0 * model.layout.tail, at.x.dtype)[None, :]
-    rows = laid_out(model, (*at, bars.half_length, bars.half_thickness, bars.friction_factor))
-    return tuple(Features._make([*row, end]) for row in rows)
+class Listed(NamedTuple):
+    """Pairs one after the other instead of every body against every feature: which feature each is of, and what that has."""
+
+    feature: Array  # (pairs,)
+    own: tuple[Own, ...]
 
 
-def laid_out(model: Model, values: Sequence[Array]) -> list[list[Array]]:
-    """Values of bars, (bars,) each -> (1, features) each: for every bar that a feature hangs on."""
-    rows = [[to_nodes(model.layout, v, v)[None, :] for v in values]]
+def own(model: Model) -> tuple[Own, ...]:
+    """What every feature has, (1, features): of its bar, or of the one in front of it and of the one behind it."""
+    bars, layout = model.bars, model.layout
+    end = jnp.asarray(1.0 - 2.0 * layout.tail, bars.half_length.dtype)[None, :]
+    place = [jnp.asarray(v)[None, :] for v in (layout.first_feature, layout.last_feature, layout.tail)]
+    rows = laid_out(model, (bars.half_length, bars.half_thickness, bars.friction_factor))
+    return tuple(Own._make([*row, end, *place]) for row in rows)
+
+
+def listed(model: Model, feature: Array) -> Listed:
+    """Pairs of the given features."""
+    return Listed(feature, jax.tree.map(lambda v: v[0, feature], own(model)))
+
+
+def features(model: Model, at: Pose, pairs: Listed | None = None) -> tuple[Features, ...]:
+    """Bars laid out as features, sheet after sheet: each feature's own, or the one in front of it and the one behind it.
+
+    All of them, (1, features), or those of listed pairs, (pairs,).
+    """
+    beside = [jnp.roll(v, k) for k in (1, -1) for v in (at.c, at.s)] if model.skin == "bars" else []
+    rows = laid_out(model, (*at, *beside), pairs)
+    return tuple(
+        Features._make([*row[:7], tuple(row[7:9]), tuple(row[9:11]), one])
+        for row, one in zip(rows, own(model) if pairs is None else pairs.own, strict=True)
+    )
+
+
+def laid_out(model: Model, values: Sequence[Array], pairs: Listed | None = None) -> list[list[Array]]:
+    """Values of bars, (bars,) each -> (1, features), or (pairs,), each: for every bar that a feature hangs on."""
+    rows = [[to_nodes(model.layout, v, v) for v in values]]
     if model.skin == "smooth":
-        rows.insert(0, [to_nodes_behind(model.layout, v)[None, :] for v in values])
-    return rows
+        rows.insert(0, [to_nodes_behind(model.layout, v) for v in values])
+    if pairs is None:
+        return [[v[None, :] for v in row] for row in rows]
+    return [list(jnp.stack(row)[:, pairs.feature]) for row in rows]
+
+
+def by_feature(model: Model, values: Array, pairs: Listed | None) -> Array:
+    """(k, bodies, features) or (k, pairs) -> (k, features): summed over what each feature touches."""
+    if pairs is None:
+        return jnp.sum(values, axis=1)
+    start = jnp.zeros((values.shape[0], model.layout.tail.shape[0]), values.dtype)
+    return start.at[:, pairs.feature].add(values, mode="promise_in_bounds")
 
 
 class Place(NamedTuple):

@@ -1,4 +1,4 @@
-"""The bodies that features are held against: all of them, or a few nearby ones."""
+"""The pairs that are looked at: every feature against every body, or a list of those that may touch."""
 
 from typing import Any, NamedTuple
 
@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.contact.features import Listed, Own, listed, own
 from diffeed.model.arrays import Arcs, Lines, Model
 from diffeed.pair.law import Surface
 
@@ -19,11 +20,14 @@ DEEP_IN_GUIDES = 0.75
 
 
 class Kept(NamedTuple):
-    """The bodies that each feature is held against: all of them, (bodies, 1), or a few nearby ones, (slots, features).
+    """The pairs that are looked at: every body, (bodies, 1), against every feature, or listed ones, (pairs,) each.
 
-    An index of None keeps a family whole. Rollers are the first circles; `travel` and `spin` say how a circle moves.
+    A list holds pairs with circles, then with lines, then with arcs; an index says which body of the family is in each. An index
+    of None keeps a family whole. Rollers are the first circles; `travel` and `spin` say how a circle moves.
     """
 
+    pairs: Listed | None  # which feature is in each pair; None: every body meets every feature
+    own: Own  # of the features, (1, features) or (pairs,)
     circle_index: Array | None
     line_index: Array | None
     arc_index: Array | None
@@ -39,17 +43,15 @@ class Kept(NamedTuple):
     approach: Array  # mm that a sheet may come nearer in one step
     pair_index: tuple[Any, Any]  # rollers of the pairs that are looked at, (pairs,) or (movable, partners)
     pair_surface: Surface
-    slot: Array | None  # (rollers, features) which slot holds it, circles where they stick; None: rows are bodies
-    has_slot: Array | None  # and whether one does
 
     @property
     def n_circles(self) -> int:
-        """Rows that hold circles."""
+        """How many rows or pairs hold circles; they come first."""
         return self.radius.shape[0]
 
 
 def pick(values: Array, index: Array | None) -> Array:
-    """(bodies,) -> (bodies, 1) or (slots, features)."""
+    """(bodies,) -> (bodies, 1), or of the shape of the index."""
     return values[:, None] if index is None else values[index]
 
 
@@ -63,14 +65,19 @@ def kept_family(family: Any, index: Array | None) -> Any:
     return jax.tree.map(lambda v: pick(v, index), family)
 
 
+def part(values: Any, pairs: Listed | None, which: slice) -> Any:
+    """Of values of features, (1, features) or (pairs,), those of some of the pairs: of a list a part, else all."""
+    return values if pairs is None else jax.tree.map(lambda v: v[which], values)
+
+
 def in_rows(families: list[Any]) -> Any:
-    """Families of bodies one after the other: (bodies, 1) or (slots, features) each."""
+    """Families of bodies one after the other: (bodies, 1), (bodies, features) or (pairs,) each."""
     if len(families) == 1:
         return families[0]
 
     def joined(*parts: Array) -> Array:
-        width = max(v.shape[1] for v in parts)
-        return jnp.concatenate([jnp.broadcast_to(v, (v.shape[0], width)) for v in parts])
+        width = np.broadcast_shapes(*(v.shape[1:] for v in parts))
+        return jnp.concatenate([jnp.broadcast_to(v, (v.shape[0], *width)) for v in parts])
 
     return jax.tree.map(joined, *families)
 
@@ -109,29 +116,33 @@ def allowed_approaches(model: Model) -> Array:
 
 
 def keep(
-    model: Model, circles: Array | None, lines: Array | None, arcs: Array | None, pairs: Array | None = None
+    model: Model,
+    circles: Array | None,
+    lines: Array | None,
+    arcs: Array | None,
+    partners: Array | None = None,
+    feature: Array | None = None,
 ) -> Kept:
-    """The bodies of the given indices, (slots, features) each, and of each movable roller the given partners."""
+    """The bodies of the given indices, (bodies, 1) each against every feature, or with a `feature` for each, (pairs,); and of
+    each movable roller the given partners."""
     rollers, n = model.rollers, len(model.circle_names)
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
     n_lines, c = len(model.lines.names), n
+    pairs = None if feature is None else listed(model, feature)
 
     def surface(values: Array) -> Array:
         parts = [(values[:c], circles), (values[c : c + n_lines], lines), (values[c + n_lines :], arcs)]
         return in_rows([pick(v, index) for v, index in parts if v.shape[0]] or [pick(values, None)])
 
-    slot = has_slot = None
-    if circles is not None:
-        looked_up = n if model.sticks[0] else rollers.n
-        hot = circles[None] == jnp.arange(looked_up, dtype=circles.dtype)[:, None, None]
-        slot, has_slot = jnp.argmax(hot, axis=1), jnp.any(hot, axis=1)
     pair_index, pair_surface = model.pair_index, model.pair_surface
-    if pairs is not None:
-        partner, which = (jnp.take_along_axis(jnp.asarray(v), pairs, axis=1) for v in model.pairs_by_roller)
+    if partners is not None:
+        partner, which = (jnp.take_along_axis(jnp.asarray(v), partners, axis=1) for v in model.pairs_by_roller)
         mine = jnp.broadcast_to(jnp.arange(rollers.n_movable)[:, None], partner.shape)
         pair_index, pair_surface = (mine, partner), jax.tree.map(lambda v: v[which], pair_surface)
     return Kept(
+        pairs=pairs,
+        own=(own(model) if pairs is None else pairs.own)[-1],
         circle_index=circles,
         line_index=lines,
         arc_index=arcs,
@@ -147,20 +158,21 @@ def keep(
         approach=surface(allowed_approaches(model)),
         pair_index=pair_index,
         pair_surface=pair_surface,
-        slot=slot,
-        has_slot=has_slot,
     )
 
 
-def by_circle(kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | int = 0) -> Array:
-    """(k, kinds, rows, features) of circles -> (k, which, features): of one kind each, the row of a circle or the slot that
-    holds it. Rollers are the first; other circles can be asked for only where circles stick."""
-    rows = values.shape[2]
-    flat = values.reshape(values.shape[0], -1, values.shape[3])
-    if kept.slot is None or kept.has_slot is None:
-        return flat[:, rows * kind + which]
-    kinds = np.broadcast_to(kind, which.shape)
-    held = kept.slot[which]
-    # A choice among few slots: a gather would fetch its numbers one by one.
-    chosen = sum(jnp.where(held == k, flat[:, rows * kinds + k], 0.0) for k in range(rows))
-    return jnp.where(kept.has_slot[which], chosen, 0.0)
+def by_circle(model: Model, kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | int = 0) -> Array:
+    """(k, kinds, circles, features), or (k, kinds, pairs) of circles, -> (k, which, features): of one kind each, what a circle
+    has with every feature."""
+    kinds = np.broadcast_to(np.asarray(kind, int), which.shape)
+    if kept.pairs is None or kept.circle_index is None:
+        flat = values.reshape(values.shape[0], -1, values.shape[3])
+        return flat[:, values.shape[2] * kinds + which]
+    # Where each circle belongs by each kind, in a last place what is not asked for.
+    place = np.full((values.shape[1], len(model.circle_names)), len(which))
+    place[kinds, which] = np.arange(len(which))
+    at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
+    feature = jnp.tile(kept.pairs.feature[: kept.n_circles], values.shape[1])
+    found = jnp.zeros((values.shape[0], len(which) + 1, model.layout.tail.shape[0]), values.dtype)
+    found = found.at[:, at, feature].add(values.reshape(values.shape[0], -1), mode="promise_in_bounds")
+    return found[:, :-1]

@@ -8,12 +8,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.features import Features, Place, blend
-from diffeed.contact.kept import Kept, in_rows, kept_family, picked
+from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
 from diffeed.model.arrays import Model
 from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
 from diffeed.pair.skin import Pieces, piece_circle, touched
@@ -35,25 +34,26 @@ class Closest(NamedTuple):
 def nearest(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """The skin against all kept bodies, in their order."""
     families = []
-    if kept.n_circles:
-        families.append(circles_near(model, rows, world, kept))
+    n = kept.n_circles
+    if n:
+        families.append(circles_near(model, part(rows, kept.pairs, slice(n)), world, kept))
     if kept.lines is not None or kept.arcs is not None:
-        families.append(guides_near(model, rows, world, kept))
+        families.append(guides_near(model, part(rows, kept.pairs, slice(n, None)), world, kept))
     return in_rows(families)
 
 
 def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """The skin against rollers, circle guides and tips."""
     rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
-    half_thickness = rows[-1].half_thickness
+    half_thickness = rows[-1].own.half_thickness
     reach = kept.radius + half_thickness
     if len(rows) == 1:
         (row,) = rows
-        near = chain_circle(_chain(model, row), rigid.x, rigid.y, kept.radius)
+        near = chain_circle(_chain(row), rigid.x, rigid.y, kept.radius)
         places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
     else:
-        near = piece_circle(_pieces(model, *rows), rigid.x, rigid.y, kept.radius)
-        places, lever = _places(model, rows, near.u), near.run * reach
+        near = piece_circle(_pieces(*rows), rigid.x, rigid.y, kept.radius)
+        places, lever = _places(rows, near.u), near.run * reach
     return Closest(
         gap=near.gap - half_thickness,
         nx=near.nx,
@@ -66,18 +66,18 @@ def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: 
     )
 
 
-def _chain(model: Model, row: Features) -> Chain:
-    ahead, behind = ((jnp.roll(row.c, k, axis=1), jnp.roll(row.s, k, axis=1)) for k in (1, -1))
-    layout = model.layout
-    ends = (layout.first_feature[None, :], layout.last_feature[None, :], layout.tail[None, :])
-    return Chain(row.x, row.y, row.c, row.s, row.half_length, ahead, behind, *ends)
+def _chain(row: Features) -> Chain:
+    own = row.own
+    return Chain(
+        row.x, row.y, row.c, row.s, own.half_length, row.ahead, row.behind, own.first, own.last, own.tail
+    )  # fmt: skip
 
 
-def _pieces(model: Model, front: Features, behind: Features) -> Pieces:
+def _pieces(front: Features, behind: Features) -> Pieces:
     """The curve at each node, between the middles of the bars in front and behind; at lead and tail from the node itself."""
-    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
-    half = jnp.where(lead | tail, -0.5, -1.0) * front.half_length
-    out, back = jnp.where(lead, front.half_length, 0.0), half
+    lead, tail, whole = front.own.first, front.own.tail, front.own.half_length
+    half = jnp.where(lead | tail, -0.5, -1.0) * whole
+    out, back = jnp.where(lead, whole, 0.0), half
     return Pieces(
         x=front.x + out * front.c,
         y=front.y + out * front.s,
@@ -90,26 +90,29 @@ def _pieces(model: Model, front: Features, behind: Features) -> Pieces:
     )
 
 
-def _places(model: Model, rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
+def _places(rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
     """Where the point u of the smooth skin's pieces hangs on the bar in front and on the bar behind."""
-    lead, tail = model.layout.first_feature[None, :], model.layout.tail[None, :]
-    found = touched(u, rows[0].half_length, rows[1].half_length, lead, tail)
+    front, behind = (row.own for row in rows)
+    found = touched(u, front.half_length, behind.half_length, front.first, front.tail)
     return tuple(Place(f.share, f.arm * row.c, f.arm * row.s) for f, row in zip(found, rows, strict=True))
 
 
 def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """End circles, or points of the smooth skin, against line guides and arc guides."""
-    places = _samples(model, rows)
+    places = _samples(rows)
     px, py = _points(rows, places)
     faced, faces, moving = [], [], world.guide_motion
+    n = 0 if kept.lines is None else kept.lines.x.shape[0]
     if kept.lines is not None:
         lines = kept.lines if moving is None else kept_family(world.lines, kept.line_index)
-        faced.append(point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length))
+        qx, qy = part((px, py), kept.pairs, slice(n))
+        faced.append(point_line(qx, qy, lines.x, lines.y, lines.tx, lines.ty, lines.length))
         faces.append(lines.faces)
     if kept.arcs is not None:
         arcs = kept.arcs if moving is None else kept_family(world.arcs, kept.arc_index)
         mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
-        faced.append(point_arc(px, py, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
+        qx, qy = part((px, py), kept.pairs, slice(n, None))
+        faced.append(point_arc(qx, qy, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
         faces.append(arcs.faces)
     near, motion = round_ends(px, py, in_rows(faced), in_rows(faces)), None
     if moving is not None:
@@ -118,15 +121,15 @@ def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: K
     return _end_circles(rows, places, near, motion)
 
 
-def _samples(model: Model, rows: tuple[Features, ...]) -> tuple[Place, ...]:
-    """The points of the sheets that guides feel, (1, features): the nodes, or the middles of the smooth skin's pieces and
-    the sheets' ends."""
+def _samples(rows: tuple[Features, ...]) -> tuple[Place, ...]:
+    """The points of the sheets that guides feel: the nodes, or the middles of the smooth skin's pieces and the sheets' ends."""
     if len(rows) == 1:
         (row,) = rows
-        arm = row.end * row.half_length
+        arm = row.own.end * row.own.half_length
         return (Place(None, arm * row.c, arm * row.s),)
-    middle = np.where(model.layout.first_feature, 0.0, np.where(model.layout.tail, 1.0, 0.5))
-    return _places(model, rows, jnp.asarray(middle, rows[0].x.dtype)[None, :])
+    own, dtype = rows[0].own, rows[0].x.dtype
+    middle = jnp.where(own.first, 0.0, jnp.where(own.tail, 1.0, 0.5))
+    return _places(rows, middle.astype(dtype))
 
 
 def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Array, Array]:
@@ -138,7 +141,7 @@ def _points(rows: tuple[Features, ...], places: tuple[Place, ...]) -> tuple[Arra
 def _end_circles(rows: tuple[Features, ...], places: tuple[Place, ...], near: Near, motion: Rigid | None) -> Closest:
     """Circles around points of the sheets against guides; a moving guide lends its surface speed at the touched point."""
     u_n = u_t = zero = jnp.zeros_like(near.gap)
-    half_thickness = rows[-1].half_thickness
+    half_thickness = rows[-1].own.half_thickness
     if motion is not None:
         px, py = _points(rows, places)
         rx, ry = px - half_thickness * near.nx - motion.x, py - half_thickness * near.ny - motion.y

@@ -16,8 +16,8 @@ from diffeed.base.smooth import divide
 from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State, initial_grip
 from diffeed.chain.system import Solution
-from diffeed.contact.features import blend, features, laid_out
-from diffeed.contact.kept import Kept, by_circle, pick, picked
+from diffeed.contact.features import blend, by_feature, laid_out
+from diffeed.contact.kept import Kept, by_circle, part, pick, picked
 from diffeed.contact.sweep import Pairs
 from diffeed.model.arrays import Model
 from diffeed.pair.law import SLIDES, Grip, stick_deflection
@@ -33,7 +33,7 @@ def fitted(model: Model, state: State) -> State:
 def of_pairs(
     model: Model, grip: Array | None, kept: Kept, ahead: Array | float, pressed: Array | None = None
 ) -> Grip | None:
-    """What each kept pair feels: (rows, features). `ahead` (s) is the length of an implicit step, else 0."""
+    """What each kept pair feels. `ahead` (s) is the length of an implicit step, else 0."""
     if grip is None:
         return None
     n_features, n = model.layout.tail.shape[0], kept.n_circles
@@ -41,16 +41,21 @@ def of_pairs(
     on_circles, on_faces = jnp.split(grip, [model.grips[0]])
     rows = []
     if n:
-        rows.append(_at_circles(model, on_circles, kept) if model.sticks[0] else jnp.zeros((n, n_features)))
+        shape = (n, n_features) if kept.pairs is None else (n,)
+        rows.append(_at_circles(model, on_circles, kept) if model.sticks[0] else jnp.zeros(shape))
     if others:
         row = on_faces if model.sticks[1] else jnp.zeros((n_features,))
-        rows.append(jnp.broadcast_to(row[None, :], (others, n_features)))
+        whole = jnp.broadcast_to(row[None, :], (others, n_features))
+        rows.append(whole if kept.pairs is None else row[kept.pairs.feature[n:]])
     return Grip(jnp.concatenate(rows), ahead, pressed)
 
 
 def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
     n_sheets, n_features = len(model.layout.names), model.layout.tail.shape[0]
     table, index = on_circles.reshape(-1, n_sheets), kept.circle_index
+    if kept.pairs is not None and index is not None:
+        owner = jnp.asarray(np.argmax(model.layout.sheet_of_feature, axis=1))
+        return table[index, owner[kept.pairs.feature[: kept.n_circles]]]
     if n_sheets == 1:
         return jnp.broadcast_to(pick(table[:, 0], index)[: kept.n_circles], (kept.n_circles, n_features))
     owner = np.argmax(model.layout.sheet_of_feature, axis=1)
@@ -63,10 +68,10 @@ def _gather(model: Model, pairs: Pairs, kept: Kept, values: tuple[Array, ...]) -
     n, found = kept.n_circles, []
     if model.sticks[0]:
         own = jnp.asarray(model.layout.sheet_of_feature, whole.dtype)
-        sums = by_circle(kept, whole[:, None, :n], np.arange(len(model.circle_names))) @ own
+        sums = by_circle(model, kept, whole[:, None, :n], np.arange(len(model.circle_names))) @ own
         found.append(sums.reshape(len(values), -1))
     if model.sticks[1]:
-        found.append(jnp.sum(whole[:, n:], axis=1))
+        found.append(by_feature(model, whole[:, n:], part(kept.pairs, kept.pairs, slice(n, None))))
     return jnp.concatenate(found, axis=1)
 
 
@@ -118,14 +123,14 @@ def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
     coefficient = surface.friction
     if surface.static_excess is not None:
         coefficient = coefficient * (1.0 + surface.static_excess)
-    limit = coefficient * features(model, at)[-1].friction_factor * pairs.touch.force
+    limit = coefficient * kept.own.friction_factor * pairs.touch.force
     friction, most = _gather(model, pairs, kept, (pairs.touch.friction, limit))
     return stick_deflection(divide(friction, most))
 
 
 def sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
-    """(rows, features), mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
-    rows = zip(laid_out(model, (a.x, a.y, a.w)), pairs.levers, strict=True)
+    """Of each pair, mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
+    rows = zip(laid_out(model, (a.x, a.y, a.w), kept.pairs), pairs.levers, strict=True)
     gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])
     if not (model.n_border and kept.n_circles):
         return gained

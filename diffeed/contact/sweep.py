@@ -1,7 +1,7 @@
 """Contact sweep: what the law says of the pairs that are near.
 
 Bodies stand along one axis (rollers, circle guides, tips, then line guides, then arc guides), features of the sheets
-along the next: (bodies, features).
+along the next: (bodies, features). Or pairs stand one after the other, (pairs,): of circles, of line guides, of arc guides.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from diffeed.pair.law import Grip, Touch, contact_law
 
 
 class Pairs(NamedTuple):
-    """Evaluated pairs, (bodies, features). Forces carry the pair's weight already.
+    """Evaluated pairs, (bodies, features) or (pairs,). Forces carry the pair's weight already.
 
     v_n = g_n.v - u_n is the speed with which the touched point leaves, summed over its bars by their shares; v_t likewise.
     """
@@ -40,9 +40,9 @@ class Pairs(NamedTuple):
 
 
 def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip | None = None) -> Pairs:
-    """The kept bodies against every feature of every sheet. Without a `grip`, friction is regularised everywhere."""
-    rows = features(model, at)
-    near, half_thickness = nearest(model, rows, world, kept), rows[-1].half_thickness
+    """The kept pairs. Without a `grip`, friction is regularised everywhere."""
+    rows = features(model, at, kept.pairs)
+    near, half_thickness = nearest(model, rows, world, kept), rows[-1].own.half_thickness
     near = derived_once(near)
     levers, away, along = [], [], []
     for row, place in zip(rows, near.places, strict=True):
@@ -52,7 +52,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         away.append(near.nx * row.vx + near.ny * row.vy + row.w * rn)
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
-    raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].friction_factor, grip)
+    raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].own.friction_factor, grip)
     touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw))
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
@@ -62,7 +62,8 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
 
 
 def heading(model: Model, at: Pose, pairs: Pairs) -> tuple[Array, Array]:
-    """Cosine and sine of the direction of travel where pairs touch: the bar's, or the smooth skin's tangent."""
+    """Cosine and sine of the direction of travel where pairs touch, (bodies, features): the bar's, or the tangent of the smooth
+    skin."""
     rows = features(model, at)
     if len(rows) == 1:
         return rows[0].c, rows[0].s

@@ -92,5 +92,5 @@ def _contacts(pairs: Pairs) -> tuple[Array, Array]:
     touch = pairs.touch
     stored = touch.force * jnp.maximum(-pairs.gap, 0.0)
     power = touch.force * pairs.u_n - touch.friction * pairs.u_t
-    sums = jnp.sum(jnp.stack([stored, power]), axis=(1, 2))
+    sums = jnp.sum(jnp.stack([stored.ravel(), power.ravel()]), axis=1)
     return sums[0], sums[1]

@@ -6,7 +6,6 @@ Nothing here is felt by the run itself: no force, no gradient.
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.chain.kinematics import to_nodes
 from diffeed.chain.state import State
 from diffeed.contact.kept import Kept, allowed_in_circles
 from diffeed.contact.sweep import Pairs
@@ -34,7 +33,7 @@ def of_step(
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
     leap = 0.5 * h * change
-    cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(model, touching.sheets, kept, h)
+    cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(touching.sheets, kept, h)
     if touching.rollers is not None:
         i, j = touching.rollers.between
         allowed = allowed_in_circles(model.rollers.radius)
@@ -60,18 +59,17 @@ def _speeds(model: Model, state: State) -> Array:
     return jnp.concatenate([state.vx, state.vy, state.rate * jnp.max(model.bars.half_length), state.travel_rate])
 
 
-def _of_pairs(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
-    depth, closing = _depth_and_approach(model, pairs, h)
+def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
+    depth, closing = _depth_and_approach(pairs, kept, h)
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
     unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
     worst = jnp.max(jnp.where(deep, 2, jnp.where(unresolved, 1, 0)))
     return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[worst]
 
 
-def _depth_and_approach(model: Model, pairs: Pairs, h: Array) -> tuple[Array, Array]:
+def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
     """How deep the axis lies in the body, and how much nearer it comes in a step (mm)."""
-    half = model.bars.half_thickness
-    return -(pairs.gap + to_nodes(model.layout, half, half)[None, :]), -pairs.v_n * h
+    return -(pairs.gap + kept.own.half_thickness), -pairs.v_n * h
 
 
 def _is_frozen(before: State, after: State, h: Array) -> Array:
@@ -83,9 +81,9 @@ def _is_frozen(before: State, after: State, h: Array) -> Array:
     return jnp.any(lost(after.x, before.x, after.vx) | lost(after.y, before.y, after.vy))
 
 
-def severity(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
+def severity(pairs: Pairs, kept: Kept, h: Array) -> Array:
     """(bodies,) by how much each body is entered or approached, in what it allows: whom to blame for a failed step."""
-    depth, closing = _depth_and_approach(model, pairs, h)
+    depth, closing = _depth_and_approach(pairs, kept, h)
     here = pairs.weight > 0
     deep = jnp.where(here & (pairs.touch.force > 0), depth, -jnp.inf)
     near = jnp.where(here & (closing > pairs.gap), closing, -jnp.inf)

@@ -12,6 +12,7 @@ from jax import Array
 from diffeed.chain.state import State, spread
 from diffeed.chain.system import Solution
 from diffeed.contact import stick
+from diffeed.contact.features import by_feature
 from diffeed.contact.kept import Kept, by_circle
 from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
@@ -69,11 +70,11 @@ def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Arra
     layout, rollers = model.layout, model.rollers
     mass = jnp.stack([jnp.sum(model.bars.mass[s]) for s in layout.slices()])
     own = jnp.asarray(layout.sheet_of_feature, friction.dtype)
-    force = jnp.stack([jnp.sum(pairs.ny * friction, axis=0), -jnp.sum(pairs.nx * friction, axis=0)])
+    force = by_feature(model, jnp.stack([pairs.ny * friction, -pairs.nx * friction]), kept.pairs)
     free = np.arange(rollers.n)[rollers.free]
     if not len(free):
         return force @ own / mass[None], jnp.zeros((1, 0), friction.dtype)
-    on_rollers = jnp.sum(by_circle(kept, friction[None, None, : kept.n_circles], free), axis=2)
+    on_rollers = jnp.sum(by_circle(model, kept, friction[None, None, : kept.n_circles], free), axis=2)
     return force @ own / mass[None], on_rollers * (rollers.radius[rollers.free] ** 2 / rollers.inertia)[None]
 
 

@@ -31,7 +31,7 @@ def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System
     with jax.named_scope("forces"):
         terms = [inertia(model), weight(model), joints(model, state, step), tension(state, step)]
         terms += [pushes(model, at), walls(model, state, step)]
-        terms += [pair_terms(model, touching.sheets, at, step)] if touching.sheets is not None else []
+        terms += [pair_terms(model, touching.sheets, at, step, kept)] if touching.sheets is not None else []
         half = model.bars.half_length
         centripetal = half * state.rate * state.rate
         system = System(

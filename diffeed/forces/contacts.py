@@ -10,7 +10,7 @@ from diffeed.chain.kinematics import Pose
 from diffeed.chain.system import BarTerms
 from diffeed.contact import stick
 from diffeed.contact.bodies import Bodies
-from diffeed.contact.features import Lever, shared, to_bars
+from diffeed.contact.features import Lever, by_feature, shared, to_bars
 from diffeed.contact.kept import Kept
 from diffeed.contact.roller_pairs import RollerPairs, roller_contacts
 from diffeed.contact.sweep import Pairs, sheet_contacts
@@ -72,7 +72,7 @@ def felt(pairs: Pairs | RollerPairs, step: Step) -> Felt:
     return Felt(a_n, a_t, touch.force - lagged * pairs.v_n, f_t)
 
 
-def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
+def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step, kept: Kept) -> BarTerms:
     """Contacts summed over bodies, features given back to their bars.
 
     A contact on two bars with shares s_j feels g.v = sum s_j g_j.v. Its own matrix g g' has a block between the two bars, for
@@ -83,7 +83,7 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
     e = felt(pairs, step)
     entries = [_entries(pairs, lever, e, step) for lever in pairs.levers]
     # Stacked, then summed at once: summed one by one, each would compute the contact law again.
-    sums = jnp.sum(jnp.stack([entry for each in entries for entry in each]), axis=1)
+    sums = by_feature(model, jnp.stack([entry for each in entries for entry in each]), kept.pairs)
     fx, fy, fw, *matrix = to_bars(model, jnp.split(sums, len(entries)))
     if not step.implicit:
         return bar_terms(model, fx=fx, fy=fy, fw=fw)
@@ -92,7 +92,7 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step) -> BarTerms:
 
 
 def _entries(pairs: Pairs, lever: Lever, pair: Felt, step: Step) -> list[Array]:
-    """What pairs add to one of their bars: force, and if implicit matrix and geometric stiffness; (bodies, features) each."""
+    """What pairs add to one of their bars: force, and if implicit matrix and geometric stiffness; of the shape of the pairs."""
     e, nx, ny = jax.tree.map(lambda v: shared(lever, v), pair), pairs.nx, pairs.ny
     entries = _along(e.f_n, e.a_n, nx, ny, lever.rn, step)
     if e.a_t is not None and e.f_t is not None:

@@ -67,7 +67,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside
     gs = -kept.spin_lever
     own = [f_n * gn + f_t * gt, f_t * gs]
     if not step.implicit:  # no end of a step is felt: nothing is coupled
-        rhs = jnp.sum(by_circle(kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
+        rhs = jnp.sum(by_circle(model, kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
         return beside._replace(rhs=beside.rhs + rhs)
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
     felt_by = []
@@ -78,7 +78,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside
         felt_by += [shared(lever, v) for v in coupled]
     felt_by += [an * gn + at * gt, asp * gs, *own]
     table = jnp.stack(felt_by).reshape(-1, 2, *nx.shape)
-    rows = by_circle(kept, table, roller, kind)
+    rows = by_circle(model, kept, table, roller, kind)
     columns = to_bars(model, jnp.split(rows[:-2], len(pairs.levers))).swapaxes(0, 1)
     diagonal, rhs = jnp.sum(rows[-2:], axis=2)
     mixed = beside.mixed
@@ -86,7 +86,7 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside
         # A movable free roller has both: its travel and its spin couple through friction.
         travel = _both(rollers.counts)[0]
         mixed = mixed + _twice(
-            rollers.counts, jnp.sum(by_circle(kept, (at * gs)[None, None], roller[travel])[0], axis=1)
+            rollers.counts, jnp.sum(by_circle(model, kept, (at * gs)[None, None], roller[travel])[0], axis=1)
         )
     return beside._replace(columns=columns, rhs=beside.rhs + rhs, own=beside.own + diagonal, mixed=mixed)
 

@@ -7,7 +7,6 @@ A normal (nx, ny) points from the body into the sheet, the way in which the shee
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from diffeed.base.smooth import divide, polar, step_down
@@ -120,22 +119,22 @@ class BarNear(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Bars with their front end circles, and tails, as chain_circle wants them; (1, features)."""
+    """Bars with their front end circles, and tails, as chain_circle wants them; (1, features) or (pairs,)."""
 
     x: Array  # bar centre (a tail has its last bar's values)
     y: Array
     c: Array
     s: Array
     half_length: Array
-    ahead: tuple[Array, Array]  # axis (cos, sin) of the bar in front
-    behind: tuple[Array, Array]  # and of the bar behind
-    first: np.ndarray  # bool: the first bar of its sheet
-    last: np.ndarray  # bool: the last bar
-    tail: np.ndarray  # bool: the tail
+    ahead: tuple[Array, ...]  # axis (cos, sin) of the bar in front
+    behind: tuple[Array, ...]  # and of the bar behind
+    first: Array  # bool: the first bar of its sheet
+    last: Array  # bool: the last bar
+    tail: Array  # bool: the tail
 
 
 def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
-    """Circles, (circles, 1) or (slots, features), against the features of chains.
+    """Circles, (circles, 1) or (pairs,), against the features of chains.
 
     A bar is touched on its face when the circle's foot lies on it. A joint's end circle counts once, with the bar that
     it leads, and only in the wedge that both faces leave open (no hole where the joint bends away). Where a joint bends

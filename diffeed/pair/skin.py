@@ -13,7 +13,6 @@ and the tangent is along B - A. Lead and tail are straight halves of their only 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from diffeed.base.smooth import polar, step_down
@@ -30,7 +29,7 @@ STEPS = 3
 
 
 class Pieces(NamedTuple):
-    """Pieces of the skin as quadratic curves, (1, features); positions in mm."""
+    """Pieces of the skin as quadratic curves, (1, features) or (pairs,); positions in mm."""
 
     x: Array  # of u = 0
     y: Array
@@ -38,8 +37,8 @@ class Pieces(NamedTuple):
     first_y: Array
     second_x: Array  # and from that to u = 1
     second_y: Array
-    lead: np.ndarray  # bool
-    tail: np.ndarray
+    lead: Array  # bool
+    tail: Array
 
 
 class Touched(NamedTuple):
@@ -50,7 +49,7 @@ class Touched(NamedTuple):
 
 
 class PieceNear(NamedTuple):
-    """Closest approach of circles to pieces, (circles, features)."""
+    """Closest approach of circles to pieces, (circles, features) or (pairs,)."""
 
     gap: Array  # mm, to the curve
     nx: Array
@@ -61,7 +60,7 @@ class PieceNear(NamedTuple):
 
 
 def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNear:
-    """Circles, (circles, 1) or (slots, features), against pieces.
+    """Circles, (circles, 1) or (pairs,), against pieces.
 
     The foot of the centre C is where (c(u) - C).c'(u), a cubic in u, goes from negative to positive. A piece carries a contact
     where the foot lies behind the middle of its first bar and before that of its second, counted on these bars, each from 0 to
@@ -76,7 +75,7 @@ def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNea
     at_end = (rx + ax + bx) * bx + (ry + ay + by) * by
     linear, square, cube = 2.0 * size + rx * kx + ry * ky, 3.0 * (ax * kx + ay * ky), kx * kx + ky * ky
     # The ends of a sheet are round: whatever lies beyond them is theirs.
-    bars = np.where(piece.lead | piece.tail, 2.0, 1.0)  # pieces in a bar: at the ends they are half as long
+    bars = jnp.where(piece.lead | piece.tail, 2.0, 1.0)  # pieces in a bar: at the ends they are half as long
     bar = 2.0 * HAND_OVER * bars * size
     begun = jnp.where(piece.lead, 1.0, step_down(at_start / bar, 1.0))
     ended = jnp.where(piece.tail, 0.0, step_down(at_end / bar, 1.0))
@@ -94,9 +93,7 @@ def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNea
     return PieceNear(distance - radius, nx, ny, weight, u, run)
 
 
-def touched(
-    u: Array, half_front: Array, half_behind: Array, lead: np.ndarray, tail: np.ndarray
-) -> tuple[Touched, Touched]:
+def touched(u: Array, half_front: Array, half_behind: Array, lead: Array, tail: Array) -> tuple[Touched, Touched]:
     """How c(u) hangs on the bar in front and on the bar behind. Lead and tail have only one of them."""
     share = jnp.where(lead, 1.0, jnp.where(tail, 0.0, u))
     return Touched(1.0 - share, -u * half_front), Touched(share, (1.0 - u) * half_behind)

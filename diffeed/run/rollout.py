@@ -242,7 +242,7 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     at, _, touching = look(model, last.state)
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
-    about = severity(model, touching.sheets, keep_all(model), h)
+    about = severity(touching.sheets, keep_all(model), h)
     crossed = guides_crossed(model, last.state).astype(felt.gap.dtype)
     across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), crossed])
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))

@@ -54,7 +54,7 @@ def generalised_force(model: Model, state: State, pressed: Array | None = None) 
     touching = contacts(model, at, world, kept, state.grip, pressed=pressed)
     plain = Step(jnp.ones(()), False)
     terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]
-    terms += [pair_terms(model, touching.sheets, at, plain)] if touching.sheets is not None else []
+    terms += [pair_terms(model, touching.sheets, at, plain, kept)] if touching.sheets is not None else []
     total = [sum((getattr(t, f) for t in terms if t is not None), jnp.zeros_like(at.x)) for f in ("fx", "fy", "fw")]
     on_rollers = _force_on_rollers(model, state, touching, plain, kept)
     _, pull_back = jax.vjp(lambda q: centres(model, state, q), positions(model, state))
