@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         SinglePrecision,
     )
     from diffeed.input.paths import get, numbers, put, unit
+    from diffeed.input.remarks import remarks
     from diffeed.input.scene_file import load_scene, read_scene, save_scene, scene_text, shipped_scenes
     from diffeed.input.stacking import stack
     from diffeed.readings.agreement import Confirmation, confirm
@@ -84,6 +85,7 @@ __all__ = [
     "numbers",
     "put",
     "read_scene",
+    "remarks",
     "save_scene",
     "scene",
     "scene_text",
@@ -121,6 +123,7 @@ _MODULES = {
         "SinglePrecision",
     ),
     "input.paths": ("get", "numbers", "put", "unit"),
+    "input.remarks": ("remarks",),
     "run.rollout": ("simulate",),
     "input.scene_file": ("load_scene", "read_scene", "save_scene", "scene_text", "shipped_scenes"),
     "input.stacking": ("stack",),

@@ -213,9 +213,9 @@ def _run(ask: Request) -> int:
         begun = time.perf_counter()
         earlier = read_run(ask.before) if ask.before else None
         set_up(ask.float32)
-        say(f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)")
         changes = {} if ask.duration is None else {"duration": ask.duration}
-        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames)
+        then = f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)"
+        scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames, then)
         if ask.confirm:
             _refuse_too_fine(ask, scene)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:

@@ -25,7 +25,7 @@ def without_checks():
     return (
         mock.patch.object(judge, "of_step", return_value=none),
         mock.patch.object(balance, "is_kept", return_value=False),
-        mock.patch.object(progress, "guides_crossed", return_value=jnp.zeros((0,), bool)),
+        mock.patch.object(progress, "_misplaced", return_value=jnp.zeros((), jnp.int32)),
     )
 
 

@@ -13,7 +13,7 @@ from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import initial_state
 from diffeed.contact import candidates
 from diffeed.contact.bodies import bodies
-from diffeed.contact.candidates import Capacities, Watched, _approach, _most_urgent, _watched, capacities
+from diffeed.contact.candidates import Capacities, Watched, _most_urgent, _used_up, _watched, _ways, capacities
 from diffeed.contact.features import features
 from diffeed.contact.kept import keep_all
 from diffeed.contact.near import circles_near, guides_near
@@ -24,7 +24,7 @@ from diffeed.model.build import build
 
 def watched(gap) -> Watched:
     zero = jnp.zeros_like(gap)
-    return Watched(gap, zero, zero + 1.0, zero == 0.0, None, 0.0)
+    return Watched(gap, zero, zero + 1.0, zero == 0.0, jnp.arange(len(gap))[:, None], None, 0.0)
 
 
 @pytest.mark.parametrize("count", [1, 7, 40])
@@ -60,15 +60,15 @@ def seen(model, state):
         ("lines", guides_near(model, rows, world, kept._replace(arcs=None))),
         ("arcs", guides_near(model, rows, world, kept._replace(lines=None))),
     ):
-        found.append((_watched(model, near, kept, family), (near.gap < 0) & (near.weight > 0)))
+        found.append((_watched(model, at, world, near, kept, family), (near.gap < 0) & (near.weight > 0)))
     return found
 
 
 @pytest.mark.parametrize("skin", ["bars", "smooth"])
 @pytest.mark.parametrize("seed", range(12))
 def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
-    """A sheet carried and bent at random among lines, arcs and circles: whatever touches then had come near enough along the
-    normal of before."""
+    """A sheet carried and bent at random among moving lines, arcs and circles: whatever touches then had come near enough along
+    the normal of before."""
     scene = normalise(replace(draw("guided", seed), skin=skin))
     model, rng = build(scene), np.random.default_rng(seed)
     start = initial_state(model, scene)
@@ -81,14 +81,15 @@ def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
             x=state.x + size * rng.normal(),
             y=state.y + size * rng.normal(),
             heading=state.heading + 0.03 * size * rng.normal(size=n),
+            time=state.time + 0.02 * size,
         )
         (x0, y0), (x1, y1) = (nodes(model, pose(model, s)) for s in (state, after))
         way = (x1 - x0, y1 - y0)
-        still = jnp.zeros((len(model.circle_names),))
-        furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1]))
-        for (before, touches), (_, touches_then) in zip(seen(model, state), seen(model, after), strict=True):
-            nearer = _approach(model, before, way, (still, still)) + before.bend * furthest**2
-            warned = np.asarray(nearer > before.gap)
+        motions = _ways(model, *(bodies(model, s, s.time, s.time) for s in (state, after))).values()
+        for (before, touches), (_, touches_then), motion in zip(
+            seen(model, state), seen(model, after), motions, strict=True
+        ):
+            warned = np.asarray(_used_up(model, before, way, motion))
             new = np.asarray(touches_then & ~touches)
             assert not np.any(new & ~warned)
             told, touched, quiet = told + warned.sum(), touched + new.sum(), quiet + (~warned).sum()

@@ -5,6 +5,7 @@ Algebraic forms only (square roots, polynomials): cheaper than exp and tanh, and
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
@@ -97,21 +98,35 @@ def _polar_jvp(
     return (length, ux, uy), (along, -uy * turn, ux * turn)
 
 
+@jax.custom_jvp
 def solve_positive(matrix: Array, sides: Array) -> Array:
     """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix, of which the lower triangle is read.
 
     Differentiated as a solution (one more solve with the same factor), not through the factorisation.
     """
-    root = lax.linalg.cholesky(lax.stop_gradient(matrix), symmetrize_input=False)
+    return _factored(matrix, sides)[1]
 
-    def solve(_: object, rhs: Array) -> Array:
-        half = lax.linalg.triangular_solve(root, rhs, left_side=True, lower=True)
-        return lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
-    def times(x: Array) -> Array:
-        return (jnp.tril(matrix) + jnp.tril(matrix, -1).T) @ x
+def _factored(matrix: Array, sides: Array) -> tuple[Array, Array]:
+    """The lower factor, and the solution. The sides go along as last rows below the matrix: factored with it they are solved
+    half way, which saves a call in every step. What they have on the diagonal is larger than anything taken from it."""
+    n, k = sides.shape
+    large = 0.25 * jnp.finfo(matrix.dtype).max * np.eye(k)
+    below = jnp.concatenate([sides.T, jnp.asarray(large, matrix.dtype)], axis=1)
+    root = lax.linalg.cholesky(
+        jnp.concatenate([jnp.pad(matrix, ((0, 0), (0, k))), below]), symmetrize_input=False
+    )  # fmt: skip
+    root, half = root[:n, :n], root[n:, :n].T
+    return root, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
-    return lax.custom_linear_solve(times, sides, solve, symmetric=True)
+
+@solve_positive.defjvp
+def _solve_positive_jvp(given: tuple[Array, Array], moved: tuple[Array, Array]) -> tuple[Array, Array]:
+    root, x = _factored(*given)
+    change, more = moved
+    right = more - (jnp.tril(change) + jnp.tril(change, -1).T) @ x
+    half = lax.linalg.triangular_solve(root, right, left_side=True, lower=True)
+    return x, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
 
 def step_down(x: Array, half_width: float) -> Array:

@@ -58,13 +58,19 @@ def load_sound(
     method: str | None,
     tolerance: float | None = None,
     frames: int | None = None,
+    then: str = "",
 ) -> "Scene":
+    """The scene, checked; what is unusual about it is said. `then` is said once the file is read."""
     from diffeed.base.records import replace
     from diffeed.input.check_records import SceneError, checked
     from diffeed.input.paths import PathError, assign
 
     with refusing(SceneError, PathError):
         scene = replace(assign(diffeed.load_scene(where), assignments), **changes)
+        if then:
+            say(then)
+        for remark in diffeed.remarks(scene):
+            say(f"note: {remark}")
         problems = patiently(lambda: diffeed.check(scene, dt, method, tolerance, frames))
         if problems:
             raise SceneError(problems, where)

@@ -19,7 +19,7 @@ from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, spins
 from diffeed.contact.features import features
 from diffeed.contact.kept import Kept, keep, keep_all
-from diffeed.contact.near import Closest, circles_near, guides_near
+from diffeed.contact.near import Closest, circles_near, guides_near, hulls_near
 from diffeed.contact.roller_pairs import roller_gaps
 from diffeed.model.arrays import Model, Path
 
@@ -88,7 +88,10 @@ class Watched(NamedTuple):
     straight: (
         Array  # bool: the normal leads away from the body; else (behind a thin guide) either way may lead towards it
     )
-    body: Array | None  # (bodies, 1) which circle it is; None: guides
+    body: Array  # (bodies, 1) which of its family it is
+    arm: (
+        tuple[Array, Array] | None
+    )  # mm from where a guide's motion is told to where the pair is nearest; None: circles
     bend: Array | float  # 1/mm by which a gap closes as the square of the way along a hollow body
 
 
@@ -100,11 +103,11 @@ class Candidates(NamedTuple):
     watched: tuple[Watched, ...]
     free: Array  # mm: no body that was not looked at is nearer
     apart: Array  # mm: no roller that was left out is nearer to a movable one
-    x: Array  # node positions at the search
-    y: Array
+    at: Pose  # at the search
+    world: Bodies
     travel: Array
     pace: Array  # mm/s: no surface of a roller or guide moves faster
-    moved: Array  # mm that guides may have moved until the next search
+    moved: Array  # mm that guides may move until the next search
 
     @property
     def complete(self) -> Array:
@@ -120,13 +123,11 @@ def search(model: Model, state: State, span: Array) -> Candidates:
 
 def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
     """Indices of what to keep (None: everything), and all else that `Candidates` hold."""
-    at = pose(model, state)
-    x, y = nodes(model, at)
+    at, world = pose(model, state), bodies(model, state, state.time, state.time)
     size, pace, moved = capacities(model), _fastest_surface(model, state, span), span * _fastest_guide(model)
-    never = jnp.full((), jnp.inf, x.dtype)
+    never = jnp.full((), jnp.inf, state.x.dtype)
     if not model.has_bodies or not size.any:
-        return None, (never, (), never, never, x, y, state.travel, pace, moved)
-    world = bodies(model, state, state.time, state.time)
+        return None, (never, (), never, never, at, world, state.travel, pace, moved)
     index: dict[str, Array | None] = dict.fromkeys(("circles", "lines", "arcs"))
     lasts, watched, free, apart = never, (), never, never
     if size.listed:
@@ -135,7 +136,7 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
         index["partners"], apart = _partners(model, world, size.partners)
         reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
         lasts = jnp.minimum(lasts, apart / (reach + _run_up(model, state, span)))
-    return index, (lasts, watched, free, apart, x, y, state.travel, pace, moved)
+    return index, (lasts, watched, free, apart, at, world, state.travel, pace, moved)
 
 
 def _list(
@@ -146,21 +147,21 @@ def _list(
     velocity, fastest = node_velocities(model, at), _fastest_node(model, at) + pace
     close, size = _close_by(model, world, x, y), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
-    rows = features(model, at)
+    rows, motions = features(model, at), _speeds(model, world)
     families = (
         lambda: circles_near(model, rows, world, looked_at),
         lambda: guides_near(model, rows, world, looked_at._replace(arcs=None)),
         lambda: guides_near(model, rows, world, looked_at._replace(lines=None)),
     )
-    unasked = REACH + TURNING * span * fastest + moved
+    unasked = REACH + TURNING * span * fastest
     found, watched, features_of, lasts = [], [], [], []
     free = jnp.full((), jnp.inf, x.dtype)
     for near, family, count, of in zip(families, ("circles", "lines", "arcs"), size[:3], close, strict=True):
         if not count:
             found.append(None)
             continue
-        seen = _watched(model, near(), looked_at, family)
-        closing = jnp.maximum(_approach(model, seen, velocity, (world.circles.vx, world.circles.vy)), 0.0)
+        seen = _watched(model, at, world, near(), looked_at, family)
+        closing = jnp.maximum(_approach(model, seen, velocity, motions[family]), 0.0)
         body, feature, seen, last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
         found.append(body if of is None else of.which[body])
         features_of.append(feature)
@@ -172,37 +173,69 @@ def _list(
     return index | {"feature": jnp.concatenate(features_of)}, jnp.min(jnp.stack(lasts)), tuple(watched), free
 
 
-def _watched(model: Model, near: Closest, kept: Kept, family: str) -> Watched:
+class Moved(NamedTuple):
+    """What bodies of a family do, (bodies,): speeds, or ways. A guide turns about the place that stands for it."""
+
+    x: Array
+    y: Array
+    turn: Array | None  # None: circles, whose turning brings nothing nearer
+
+
+def _speeds(model: Model, world: Bodies) -> dict[str, Moved | None]:
+    """Of all families, mm/s and rad/s; None: they stand still."""
+    found: dict[str, Moved | None] = {"circles": Moved(world.circles.vx, world.circles.vy, None)}
+    for family in ("lines", "arcs"):
+        motion = None if world.guide_motion is None else getattr(world.guide_motion, family)
+        found[family] = None if motion is None else Moved(motion.vx, motion.vy, motion.w)
+    return found
+
+
+def _ways(model: Model, then: Bodies, now: Bodies) -> dict[str, Moved | None]:
+    """Of all families, mm and rad, from one time to another."""
+    circles = Moved(now.circles.x - then.circles.x, now.circles.y - then.circles.y, None)
+    found: dict[str, Moved | None] = {"circles": circles, "lines": None, "arcs": None}
+    if then.guide_motion is not None:
+        a, b, c, d = then.lines, now.lines, then.arcs, now.arcs
+        found["lines"] = Moved(b.x - a.x, b.y - a.y, a.tx * b.ty - a.ty * b.tx)
+        found["arcs"] = Moved(d.x - c.x, d.y - c.y, c.mid_x * d.mid_y - c.mid_y * d.mid_x)
+    return found
+
+
+def _watched(model: Model, at: Pose, world: Bodies, near: Closest, kept: Kept, family: str) -> Watched:
     """The pairs of a family with the way that each has before it touches."""
-    shape = near.gap.shape
+    index = {"circles": kept.circle_index, "lines": kept.line_index, "arcs": kept.arc_index}[family]
+    body = jnp.arange(near.gap.shape[0], dtype=jnp.int32)[:, None] if index is None else index
     if family == "circles":
-        n = shape[0]
-        body = jnp.arange(n, dtype=jnp.int32)[:, None] if kept.circle_index is None else kept.circle_index
-        gap = jnp.where(kept.active > 0, near.gap, jnp.inf)
-        return Watched(gap, near.nx, near.ny, jnp.ones(shape, bool), body, 0.0)
-    guides = kept.lines if family == "lines" else kept.arcs
+        smooth = model.skin == "smooth"
+        gap, nx, ny = hulls_near(features(model, at), world, kept) if smooth else (near.gap, near.nx, near.ny)
+        gap = jnp.where(kept.active > 0, gap, jnp.inf)
+        return Watched(gap, nx, ny, jnp.ones(gap.shape, bool), body, None, 0.0)
+    guides, place = (kept.lines, world.lines) if family == "lines" else (kept.arcs, world.arcs)
     assert guides is not None
     # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
     felt = near.weight > 0
     gap = near.gap - jnp.where(felt, 0.0, guides.faces.depth)
+    x, y = nodes(model, at)
+    arm = x[None, :] - near.nx * near.gap - place.x[body], y[None, :] - near.ny * near.gap - place.y[body]
     # A way along the inside of an arc of radius R leads outwards by its square over 2 R, twice that from half as far out.
     bend = 0.0 if kept.arcs is None or family == "lines" else jnp.maximum(kept.arcs.side, 0.0) / kept.arcs.radius
-    return Watched(gap, near.nx, near.ny, felt, None, bend)
+    return Watched(gap, near.nx, near.ny, felt, body, arm, bend)
 
 
-def _approach(model: Model, seen: Watched, moved: tuple[Array, Array], of_circles: tuple[Array, Array]) -> Array:
-    """By how much gaps shrink as nodes and circles move, (bodies, features): by speeds (mm/s) or ways (mm).
+def _approach(model: Model, seen: Watched, moved: tuple[Array, Array], bodies_moved: Moved | None) -> Array:
+    """By how much gaps shrink as nodes and bodies move, (bodies, features): by speeds (mm/s) or ways (mm).
 
     What touches lies between some nodes, so it comes no nearer along a normal than the one that comes nearest.
     """
     x, y = moved[0][None, :], moved[1][None, :]
-    if seen.body is not None:
-        bx, by = of_circles[0][seen.body], of_circles[1][seen.body]
+    from_body = jnp.zeros(())
+    if bodies_moved is not None:
+        bx, by, turn = bodies_moved.x[seen.body], bodies_moved.y[seen.body], bodies_moved.turn
+        if turn is not None and seen.arm is not None:
+            bx, by = bx - turn[seen.body] * seen.arm[1], by + turn[seen.body] * seen.arm[0]
         from_body = seen.nx * bx + seen.ny * by
-    else:
-        from_body = 0.0
     ends = [(x, y)]
-    if model.skin == "smooth" or seen.body is not None:
+    if model.skin == "smooth" or seen.arm is None:
         ends.append((_behind(model, x), _behind(model, y)))  # a bar's rear node
     if model.skin == "smooth":
         ends.append((_in_front(model, x), _in_front(model, y)))
@@ -321,20 +354,25 @@ def _path_speed(path: Path) -> Array:
 
 def check_reach(model: Model, found: Candidates, after: State) -> Array:
     """Whether the candidates were good until `after`: no pair that was left out has come to touch."""
-    x, y = nodes(model, pose(model, after))
-    way, travel = (x - found.x, y - found.y), after.travel - found.travel
-    furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1])) + found.moved
-    if model.rollers.n_movable:
-        furthest = furthest + jnp.max(jnp.abs(travel))
-    good = ~(furthest > found.free)
-    if capacities(model).partners is not None:
-        good &= ~(2.0 * jnp.max(jnp.abs(travel)) > found.apart)
-    still = jnp.zeros((len(model.circle_names) - model.rollers.n_movable,))
-    circles = (
-        jnp.concatenate([model.rollers.dir_x * travel, still]),
-        jnp.concatenate([model.rollers.dir_y * travel, still]),
-    )
-    for seen in found.watched:
-        nearer = _approach(model, seen, way, circles) + found.moved + seen.bend * furthest**2
-        good &= ~jnp.any(nearer > seen.gap)
+    (x, y), (then_x, then_y) = nodes(model, pose(model, after)), nodes(model, found.at)
+    way, travel = (x - then_x, y - then_y), jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
+    furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1])) + travel + found.moved
+    good = ~(furthest > found.free) & ~(2.0 * travel > found.apart)
+    if not found.watched:
+        return good
+    motions = _ways(model, found.world, bodies(model, after, after.time, after.time))
+    families = [name for name, count in zip(("circles", "lines", "arcs"), capacities(model)[:3], strict=True) if count]
+    for family, seen in zip(families, found.watched, strict=True):
+        good &= ~jnp.any(_used_up(model, seen, way, motions[family]))
     return good
+
+
+def _used_up(model: Model, seen: Watched, way: tuple[Array, Array], motion: Moved | None) -> Array:
+    """Whether pairs may have come to touch, (bodies, features): by the way along the normal, and by what that leaves out in
+    second order: a way along a hollow arc or a guide that turns, and the turn of a long arm."""
+    nearer, furthest = _approach(model, seen, way, motion), jnp.max(jnp.abs(way[0]) + jnp.abs(way[1]))
+    nearer = nearer + seen.bend * furthest**2
+    if motion is not None and motion.turn is not None and seen.arm is not None:
+        turn = jnp.abs(motion.turn)[seen.body]
+        nearer = nearer + turn * (furthest + 0.5 * turn * (jnp.abs(seen.arm[0]) + jnp.abs(seen.arm[1])))
+    return nearer > seen.gap

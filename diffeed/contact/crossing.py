@@ -1,4 +1,10 @@
-"""Bars that lie across a guide: where a sheet must never be. A guide feels points of a sheet, so a bar can straddle it unfelt."""
+"""Bars where a sheet must never be: across a guide, or behind its face past an end of it.
+
+A guide feels points of a sheet, so a bar can straddle it unfelt. And it feels whatever stands behind its face less than its
+depth as pressed in: what comes there past the guide's end, where nothing stops it, is thrown out with energy from nowhere.
+"""
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -6,10 +12,22 @@ from jax import Array
 from diffeed.base.smooth import polar
 from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import State
-from diffeed.contact.bodies import bodies
+from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.kept import DEEP_IN_GUIDES
 from diffeed.model.arrays import Model
-from diffeed.pair.shapes import past_ends_of_arc
+from diffeed.pair.shapes import Face, past_ends_of_arc
+
+CLEARLY = 0.2
+"""mm below the centre of a guide's rounded end, from where on that end holds a sheet off on the wrong side."""
+
+
+class _Seen(NamedTuple):
+    """Nodes as a family of guides sees them, (guides, nodes), and where between neighbours a bar meets the face's line."""
+
+    height: Array  # mm above the face
+    beyond: tuple[Array, Array]  # mm past the first end and past the second
+    meets: tuple[Array, Array]  # the same of the point where a bar meets the face, (guides, nodes - 1)
+    across: Array  # bool: it does, and one end is deep behind
 
 
 def guides_crossed(model: Model, state: State) -> Array:
@@ -17,32 +35,65 @@ def guides_crossed(model: Model, state: State) -> Array:
 
     The sides alone would also show an end that is pressed in; beyond the guide's own ends a sheet may cross freely.
     """
-    if not (model.lines.names or model.arcs.names):
+    return _any_bar(model, [s.across & (s.meets[0] < 0) & (s.meets[1] < 0) for s, _ in _families(model, state)])
+
+
+def guides_passed_behind(model: Model, state: State) -> Array:
+    """(lines + arcs,) bool: a bar reaches past a free end of the guide behind its face, less than its depth."""
+    found = []
+    for seen, face in _families(model, state):
+        height, back = seen.height, -(face.tip_radius + CLEARLY)
+        behind = jnp.zeros((height.shape[0], height.shape[1] - 1), bool)
+        for past, joined in zip(seen.beyond, face.joined, strict=True):
+            a, b = past[:, :-1], past[:, 1:]
+            reaches = (a * b < 0) & (joined[:, None] == 0)
+            share = a / jnp.where(reaches, a - b, 1.0)
+            there = height[:, :-1] + share * (height[:, 1:] - height[:, :-1])
+            behind |= reaches & (there < back[:, None]) & (there > -face.depth[:, None])
+        found.append(behind)
+    return _any_bar(model, found)
+
+
+def _any_bar(model: Model, found: list[Array]) -> Array:
+    """(guides, nodes - 1) of each family -> (lines + arcs,)."""
+    if not found:
         return jnp.zeros((0,), bool)
+    return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
+
+
+def _families(model: Model, state: State) -> list[tuple[_Seen, Face]]:
+    if not (model.lines.names or model.arcs.names):
+        return []
     x, y = nodes(model, pose(model, state))
     world = bodies(model, state, state.time, state.time)
-    lines, arcs = world.lines, world.arcs
-    found = []
-    if model.lines.names:
-        dx, dy = x[None, :] - lines.x[:, None], y[None, :] - lines.y[:, None]
-        tx, ty = lines.tx[:, None], lines.ty[:, None]
-        height, along = dy * tx - dx * ty, dx * tx + dy * ty
-        across, fall = _across(height, lines.faces.depth[:, None]), height[:, :-1] - height[:, 1:]
-        share = height[:, :-1] / jnp.where(across, fall, 1.0)
-        meets = along[:, :-1] + share * (along[:, 1:] - along[:, :-1])
-        found.append(across & (meets > 0) & (meets < lines.length[:, None]))
-    if model.arcs.names:
-        dx, dy = x[None, :] - arcs.x[:, None], y[None, :] - arcs.y[:, None]
-        height = arcs.side[:, None] * (arcs.radius[:, None] - polar(dx, dy)[0])
-        across = _across(height, arcs.faces.depth[:, None])
-        share = _meets_circle(dx, dy, arcs.radius[:, None])
-        px, py = (v[:, :-1] + share * (v[:, 1:] - v[:, :-1]) for v in (dx, dy))
-        mid, quarter = (
-            tuple(v[:, None] for v in pair) for pair in ((arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter))
-        )
-        first, second = past_ends_of_arc(*polar(px, py)[1:], arcs.radius[:, None], mid, quarter)
-        found.append(across & (first < 0) & (second < 0))
-    return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
+    found = [(_by_lines(world, x, y), world.lines.faces)] if model.lines.names else []
+    return found + ([(_by_arcs(world, x, y), world.arcs.faces)] if model.arcs.names else [])
+
+
+def _by_lines(world: Bodies, x: Array, y: Array) -> _Seen:
+    lines = world.lines
+    dx, dy = x[None, :] - lines.x[:, None], y[None, :] - lines.y[:, None]
+    tx, ty, length = lines.tx[:, None], lines.ty[:, None], lines.length[:, None]
+    height, along = dy * tx - dx * ty, dx * tx + dy * ty
+    across, fall = _across(height, lines.faces.depth[:, None]), height[:, :-1] - height[:, 1:]
+    share = height[:, :-1] / jnp.where(across, fall, 1.0)
+    meets = along[:, :-1] + share * (along[:, 1:] - along[:, :-1])
+    return _Seen(height, (-along, along - length), (-meets, meets - length), across)
+
+
+def _by_arcs(world: Bodies, x: Array, y: Array) -> _Seen:
+    arcs, radius = world.arcs, world.arcs.radius[:, None]
+    dx, dy = x[None, :] - arcs.x[:, None], y[None, :] - arcs.y[:, None]
+    distance, ux, uy = polar(dx, dy)
+    height = arcs.side[:, None] * (radius - distance)
+    across = _across(height, arcs.faces.depth[:, None])
+    share = _meets_circle(dx, dy, radius)
+    px, py = (v[:, :-1] + share * (v[:, 1:] - v[:, :-1]) for v in (dx, dy))
+    mid, quarter = (
+        tuple(v[:, None] for v in pair) for pair in ((arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter))
+    )
+    meets = past_ends_of_arc(*polar(px, py)[1:], radius, mid, quarter)
+    return _Seen(height, past_ends_of_arc(ux, uy, radius, mid, quarter), meets, across)
 
 
 def _across(height: Array, depth: Array) -> Array:

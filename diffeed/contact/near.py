@@ -15,7 +15,7 @@ from diffeed.contact.features import Features, Place, blend
 from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
 from diffeed.model.arrays import Model
 from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
-from diffeed.pair.skin import Pieces, piece_circle, touched
+from diffeed.pair.skin import Pieces, hull_circle, piece_circle, touched
 
 
 class Closest(NamedTuple):
@@ -64,6 +64,13 @@ def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: 
         u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
         lever=lever,
     )
+
+
+def hulls_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> tuple[Array, Array, Array]:
+    """Gap and normal, (circles, features), from circles to what holds the pieces of the smooth skin."""
+    x, y = picked((world.circles.x, world.circles.y), kept.circle_index)
+    gap, nx, ny = hull_circle(_pieces(*rows), x, y, kept.radius)
+    return gap - rows[-1].own.half_thickness, nx, ny
 
 
 def _chain(row: Features) -> Chain:

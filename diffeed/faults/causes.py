@@ -37,6 +37,11 @@ _ALL = (
     Cause("a bar lies across a guide", "see how it came there: shorter steps and shorter bars keep a sheet in front"),
     Cause("the steps are too short for single precision: the sheet no longer moves on", "take float64 or longer steps"),
     Cause("friction turned about within an explicit step", "take shorter steps, or an implicit method"),
+    Cause(
+        "a sheet came behind the face of a guide past its end",
+        "turn the guide about if it bears on the wrong side (a line guide bears on the left of start to end, an arc on its"
+        " `side`), or keep the sheet off its back",
+    ),
 )
 CAUSES = tuple(cause.what for cause in _ALL)
 """Causes of a failed run, by number; 0 is none."""
@@ -57,4 +62,5 @@ REMEDIES = tuple(cause.remedy for cause in _ALL)
     ACROSS,
     FROZEN,
     TURNED_ABOUT,
+    BEHIND,
 ) = range(1, len(_ALL))

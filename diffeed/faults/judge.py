@@ -63,8 +63,7 @@ def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
     depth, closing = _depth_and_approach(pairs, kept, h)
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
     unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
-    worst = jnp.max(jnp.where(deep, 2, jnp.where(unresolved, 1, 0)))
-    return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[worst]
+    return jnp.where(jnp.any(deep), TOO_DEEP, jnp.where(jnp.any(unresolved), UNRESOLVED, 0)).astype(jnp.int32)
 
 
 def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ import numpy as np
 from diffeed.base.limits import MAX_BARS, MAX_PAIRS, MAX_PARTS, MAX_POINTS, rest_problem
 from diffeed.base.names import hint
 from diffeed.base.records import fields
+from diffeed.input.check_joints import opposed_joints
 from diffeed.input.check_values import measure, show, sound
 from diffeed.input.parts import (
     SECTIONS,
@@ -196,7 +197,7 @@ def _not_too_many(path: str, series: Any, _: Scene) -> Iterator[str]:
 
 _SERIES: tuple[Rule, ...] = (_increasing, _equal_lengths, _not_too_many)
 RULES: dict[type, tuple[Rule, ...]] = {
-    Scene: (_some_sheet, _duration, _goal),
+    Scene: (_some_sheet, _duration, _goal, opposed_joints),
     Sheet: (_bar_count, _bar_length),
     FixedRoller: (_two_speeds, _contact_set),
     MovableRoller: (_two_speeds, _direction, _stops, _contact_set),

@@ -93,6 +93,32 @@ def piece_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> PieceNea
     return PieceNear(distance - radius, nx, ny, weight, u, run)
 
 
+def hull_circle(piece: Pieces, cx: Array, cy: Array, radius: Array) -> tuple[Array, Array, Array]:
+    """Gap and normal from circles to the triangles of the control points, in which the pieces lie as far as they are followed:
+    never further than these.
+
+    Newton's method finds the foot of a circle that is near; of one further away it may find a point that is not the nearest.
+    """
+    beyond = 2.2 * BEYOND * jnp.where(piece.lead | piece.tail, 2.0, 1.0)  # of a tangent: a tenth more for the bend
+    out, on = jnp.where(piece.lead, 0.0, beyond), jnp.where(piece.tail, 0.0, beyond)
+    bx, by = piece.x + piece.first_x - cx, piece.y + piece.first_y - cy
+    ax, ay = bx - (1.0 + out) * piece.first_x, by - (1.0 + out) * piece.first_y
+    x, y = bx + (1.0 + on) * piece.second_x, by + (1.0 + on) * piece.second_y
+    near = _segment(ax, ay, bx, by)
+    for other in (_segment(bx, by, x, y), _segment(ax, ay, x, y)):
+        near = [jnp.where(other[0] < near[0], a, b) for a, b in zip(other, near, strict=True)]
+    distance, nx, ny = near
+    return distance - radius, nx, ny
+
+
+def _segment(ax: Array, ay: Array, bx: Array, by: Array) -> list[Array]:
+    """Distance and direction from the origin to the nearest point between a and b."""
+    dx, dy = bx - ax, by - ay
+    size = dx * dx + dy * dy
+    share = jnp.clip(-(ax * dx + ay * dy) / jnp.where(size > 0, size, 1.0), 0.0, 1.0)
+    return list(polar(ax + share * dx, ay + share * dy))
+
+
 def touched(u: Array, half_front: Array, half_behind: Array, lead: Array, tail: Array) -> tuple[Touched, Touched]:
     """How c(u) hangs on the bar in front and on the bar behind. Lead and tail have only one of them."""
     share = jnp.where(lead, 1.0, jnp.where(tail, 0.0, u))

@@ -12,7 +12,7 @@ from diffeed.base.limits import run_problem, scene_size
 from diffeed.base.records import replace
 from diffeed.chain.kinematics import to_nodes
 from diffeed.chain.state import State, initial_state
-from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.crossing import guides_crossed, guides_passed_behind
 from diffeed.contact.kept import keep_all
 from diffeed.input.check_records import check_records
 from diffeed.input.check_values import show
@@ -57,12 +57,10 @@ def check(
         longest = None if tolerance is not None else STEP if dt is None else dt
         if problem := run_problem(float(scene.duration), longest, frames, scene_size(scene)):
             return [problem]
-    model, before, state, found, now, across = prepare(scene)
+    model, before, state, found, now, across, behind = prepare(scene)
     problems = _deep(model, before, "starts", allowed=0.5 if scene.initial == "settled" else 0.0)
-    crossed = np.array([*model.lines.names, *model.arcs.names])[np.asarray(across)]
-    problems += [
-        f"guides.{name}: a bar lies across it at the start; sheets must start in front of guides" for name in crossed
-    ]
+    problems += [f"{part}: a bar lies across it at the start; {IN_FRONT}" for part in _guides(model, across)]
+    problems += [f"{part}: a bar lies behind its face at the start; {IN_FRONT}" for part in _guides(model, behind)]
     if scene.initial == "settled" and not problems:
         if not found:
             problems.append('no rest state was found from which to start; set initial = "given" to start as written')
@@ -71,6 +69,14 @@ def check(
     if (dt is not None or frames is not None) and method in EXPLICIT and not problems:  # a run is meant
         problems += _too_fast(model, state, STEP if dt is None else dt, method)
     return problems
+
+
+IN_FRONT = "sheets must start in front of guides (a line guide bears on the left of start to end, an arc on its `side`)"
+
+
+def _guides(model: Model, chosen: Array) -> list[str]:
+    """Parts, of (lines + arcs,) bool."""
+    return [f"guides.{name}" for name in np.array([*model.lines.names, *model.arcs.names])[np.asarray(chosen)]]
 
 
 class Prepared(NamedTuple):
@@ -82,6 +88,7 @@ class Prepared(NamedTuple):
     found: Array  # bool: settled, or not to be settled
     gap: Array  # at that state
     across: Array  # (lines + arcs,) bool: a bar lies across the guide at the start as written
+    behind: Array  # and behind its face past an end
 
 
 @jit_of_scene
@@ -92,8 +99,8 @@ def prepare(scene: Scene) -> Prepared:
     state, found = start, jnp.asarray(True)
     if scene.initial == "settled":
         state, found = settle_model(model, start)
-    across = guides_crossed(model, start)
-    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), across)
+    misplaced = guides_crossed(model, start), guides_passed_behind(model, start)
+    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), *misplaced)
 
 
 def _gaps(model: Model, state: State) -> Array:

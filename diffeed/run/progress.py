@@ -12,11 +12,11 @@ from diffeed.base.records import replace
 from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
 from diffeed.contact.candidates import Candidates, check_reach
-from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.crossing import guides_crossed, guides_passed_behind
 from diffeed.contact.kept import Kept
 from diffeed.faults import balance, judge
 from diffeed.faults.balance import Book
-from diffeed.faults.causes import ACROSS, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
+from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
 from diffeed.forces.contacts import Contacts
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -68,7 +68,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     state = _all_with_tangents(state)
     cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
-    cause = jnp.where((cause == 0) & jnp.any(guides_crossed(model, state)), ACROSS, cause).astype(jnp.int32)
+    cause = jnp.where(cause == 0, _misplaced(model, state), cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
     dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state)))
     return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), book, jnp.zeros((), dtype))
@@ -122,13 +122,18 @@ def recomputed(step: Step) -> Step:
     return jax.checkpoint(step, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(VERDICT))
 
 
+def _misplaced(model: Model, state: State) -> Array:
+    """The cause if a bar is where no sheet may be, else 0."""
+    across, behind = jnp.any(guides_crossed(model, state)), jnp.any(guides_passed_behind(model, state))
+    return jnp.where(across, ACROSS, jnp.where(behind, BEHIND, 0))
+
+
 def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
     """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
-    guide, or if energy came from nowhere: then the run stands where its energy was last good."""
+    guide or behind one, or if energy came from nowhere: then the run stands where its energy was last good."""
     near_enough = check_reach(model, found, carry.state)
-    across = jnp.any(guides_crossed(model, carry.state))
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
-    cause = jnp.where(near_enough, jnp.where(across, ACROSS, 0), unseen)
+    cause = jnp.where(near_enough, _misplaced(model, carry.state), unseen)
     book, state = carry.book, carry.state
     if balance.is_kept(model):
         book, gained = balance.judged(*lax.stop_gradient((model, book, state, found.pace)))

@@ -12,9 +12,9 @@ from diffeed.base.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.base.records import replace
 from diffeed.chain.state import State
 from diffeed.contact.candidates import search
-from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.crossing import guides_crossed, guides_passed_behind
 from diffeed.contact.kept import keep_all
-from diffeed.faults.causes import ACROSS, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
+from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
 from diffeed.faults.judge import severity
 from diffeed.input.packing import bare, jit_of_scene
 from diffeed.input.parts import Scene, normalise, warn_if_single
@@ -243,13 +243,14 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
     about = severity(touching.sheets, keep_all(model), h)
-    crossed = guides_crossed(model, last.state).astype(felt.gap.dtype)
-    across = jnp.concatenate([jnp.zeros((len(model.circle_names),)), crossed])
+    crossed, passed = guides_crossed(model, last.state), guides_passed_behind(model, last.state)
+    misplaced = jnp.where(last.cause == BEHIND, passed, crossed).astype(felt.gap.dtype)
+    misplaced = jnp.concatenate([jnp.zeros((len(model.circle_names),)), misplaced])
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
     nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
     pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(felt.gap, 0.0)), pressed)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
-    weight = jnp.where(told, about, jnp.where(last.cause == ACROSS, across, pressed))
+    weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), misplaced, pressed))
     by_part = _by_part(model, weight)
     return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
 

@@ -1,0 +1,131 @@
+"""What is sound in itself but hardly meant: a number in another unit, a pinch that opens its nip. Said, never refused."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from diffeed.input.check_values import sound
+from diffeed.input.parts import ArcGuide, FixedRoller, MovableRoller, Profile, Scene, Sheet
+
+STIFFEST, LIMPEST = 5e5, 5.0
+"""N/mm2: harder than any steel, and softer than rubber."""
+LIGHTEST, HEAVIEST = 5e-9, 3e-5
+"""kg/mm3: a hundredth of paper, and more than any metal."""
+THINNEST, THICKEST = 2e-3, 10.0
+"""mm."""
+SLOWEST = 5.0
+"""mm/s: a drive that never turns faster than this."""
+GRAVITY = (9.0, 10.5)
+"""m/s2, given as mm/s2."""
+NIP = 3.0
+"""mm between two rollers that may be meant as a nip."""
+BEYOND_USE = 100.0
+"""Times the way through the machine that is fed in a run."""
+
+Rule = Callable[[str, Any, Scene], Iterator[str]]
+
+
+def remarks(scene: Scene) -> list[str]:
+    """Sentences on what a sound scene holds that is unusual enough to be a mistake; empty for most.
+
+    Each names part, field and value, and what is usual. `diffeed check` and `diffeed run` show them and go on.
+    """
+    found = list(_of_scene(scene))
+    for section in ("sheets", "rollers", "guides"):
+        for name, part in sorted(getattr(scene, section).items()):
+            for kind, rule in _RULES:
+                if isinstance(part, kind):
+                    found += rule(f"{section}.{name}", part, scene)
+    return found
+
+
+def _number(part: Any, field: str) -> float | None:
+    value = sound(part, field)
+    return float(value) if value is not None and np.ndim(value) == 0 else None
+
+
+def _of_scene(scene: Scene) -> Iterator[str]:
+    gravity = sound(scene, "gravity")
+    if gravity is not None and GRAVITY[0] < float(np.hypot(*gravity)) < GRAVITY[1]:
+        yield f"gravity is {np.hypot(*gravity):g} mm/s2: in m/s2? That of the earth is 9810 mm/s2"
+    duration, fastest = scene.duration, max((_fastest(r) or 0.0 for r in scene.rollers.values()), default=0.0)
+    ways = [np.ptp(np.array(points), axis=0).sum() for points in [_places(scene)] if len(points) > 1]
+    ways += [_number(s, "length") or 0.0 for s in scene.sheets.values()]
+    if duration and sum(ways) and duration * fastest > BEYOND_USE * sum(ways):
+        yield (
+            f"duration is {duration:g} s, in which the drives feed {duration * fastest:.3g} mm: many times the way through the"
+            " machine"
+        )
+
+
+def _places(scene: Scene) -> list[Any]:
+    parts = [*scene.rollers.values(), *scene.guides.values()]
+    fields = [(p, f) for p in parts for f in ("center", "start", "end") if getattr(p, f, None) is not None]
+    return [value for p, f in fields if (value := sound(p, f)) is not None]
+
+
+def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
+    modulus, density, thickness = (_number(sheet, f) for f in ("youngs_modulus", "density", "thickness"))
+    if modulus and modulus > STIFFEST:
+        yield f"{path}.youngs_modulus is {modulus:g} N/mm2: in Pa? Steel has 2.1e5 N/mm2, paper 2000 to 8000"
+    if modulus and modulus < LIMPEST:
+        yield f"{path}.youngs_modulus is {modulus:g} N/mm2: in GPa? Rubber has 1 to 10 N/mm2, paper 2000 to 8000"
+    if density and not LIGHTEST < density < HEAVIEST:
+        yield f"{path}.density is {density:g} kg/mm3: in other units? Paper has 8e-7 kg/mm3 (800 kg/m3)"
+    if thickness and not THINNEST < thickness < THICKEST:
+        yield f"{path}.thickness is {thickness:g} mm: in other units? Copy paper has 0.1 mm"
+
+
+def _arc(path: str, guide: ArcGuide, _: Scene) -> Iterator[str]:
+    sweep, radius = _number(guide, "sweep"), _number(guide, "radius")
+    if sweep and radius and abs(sweep) <= 2.0 * np.pi and radius * np.deg2rad(abs(sweep)) < NIP:
+        yield f"{path}.sweep is {sweep:g} degrees: in radians? A quarter turn is 90"
+
+
+def _fastest(roller: Any) -> float | None:
+    """mm/s of its surface, None if it idles or that is not known."""
+    for field, lever in (("surface_speed", 1.0), ("angular_speed", _number(roller, "radius"))):
+        speed = getattr(roller, field, None)
+        values = (
+            sound(speed, "values")
+            if isinstance(speed, Profile)
+            else sound(roller, field)
+            if speed is not None
+            else None
+        )
+        if values is not None and lever:
+            return float(np.max(np.abs(values)) * lever)
+    return None
+
+
+def _drive(path: str, roller: Any, _: Scene) -> Iterator[str]:
+    fastest = _fastest(roller)
+    if fastest and fastest < SLOWEST:
+        yield f"{path} turns at {fastest:g} mm/s at most: in m/s? Feeders run at 100 to 3000 mm/s"
+
+
+def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
+    center, way, radius = sound(roller, "center"), sound(roller, "direction"), _number(roller, "radius")
+    preload = _number(roller, "preload")
+    if center is None or way is None or radius is None or not preload or preload < 0:
+        return
+    for name, other in sorted(scene.rollers.items()):
+        place, size = sound(other, "center"), _number(other, "radius")
+        if other is roller or place is None or size is None:
+            continue
+        towards = np.asarray(place) - center
+        if np.hypot(*towards) - radius - size < NIP and way @ towards > 0.5 * np.hypot(*way) * np.hypot(*towards):
+            yield (
+                f"{path}.direction points at rollers.{name}, so that its preload opens the nip: the spring pushes against"
+                " `direction`"
+            )
+
+
+_RULES: tuple[tuple[type, Rule], ...] = (
+    (Sheet, _sheet),
+    (ArcGuide, _arc),
+    (FixedRoller, _drive),
+    (MovableRoller, _drive),
+    (MovableRoller, _pinch),
+)
