@@ -9,9 +9,10 @@ import diffeed
 from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet, measures
 from diffeed.base.records import replace
 from diffeed.chain.state import initial_state
-from diffeed.contact.crossing import guides_crossed
+from diffeed.contact.crossing import misplaced
 from diffeed.faults.causes import (
     ACROSS,
+    BEHIND,
     CAUSES,
     FROM_NOWHERE,
     FROZEN,
@@ -196,6 +197,43 @@ def test_a_bar_across_a_guide_at_the_start(guide):
     assert problem.startswith("guides.wall: a bar lies across it at the start")
 
 
+UPWARDS = {
+    "line": LineGuide(start=(5.0, 1.5), end=(60.0, 1.5)),
+    "arc": ArcGuide(center=(5.0, 61.5), radius=60.0, start_angle=-90.0, sweep=40.0),
+}
+TURNED = {
+    "line": replace(UPWARDS["line"], start=(60.0, 1.5), end=(5.0, 1.5)),
+    "arc": replace(UPWARDS["arc"], side="outside"),
+}
+
+
+@pytest.mark.parametrize("kind", UPWARDS)
+def test_a_sheet_that_comes_behind_a_guide_past_its_end(kind):
+    """It slides under the guide's rounded end without touching it, into where the guide would throw it out."""
+
+    def sent(guide, **more):
+        sheet = strip(velocity=(500.0, 0.0), bars=4, **more)
+        scene = machine(sheet, guides={"roof": guide}, gravity=(0.0, 0.0))
+        return scene, diffeed.simulate(scene, duration=0.02, dt=1e-4, frames=11)
+
+    failed(sent(UPWARDS[kind])[1], BEHIND, "guides.roof")
+    assert bool(sent(TURNED[kind])[1].ok), "turned about it bears the sheet"
+    assert bool(sent(replace(UPWARDS[kind], depth=1.0))[1].ok), "further behind than its depth a sheet is not felt"
+    scene, run = sent(UPWARDS[kind], lead=(9.0, 0.0))
+    failed(run, BEHIND, "guides.roof")
+    assert float(run.failure.time) == 0.0
+    assert any(p.startswith("guides.roof: a bar lies behind its face at the start") for p in diffeed.check(scene))
+
+
+def test_a_sheet_over_the_edge_of_a_table_is_not_behind_it():
+    """Most of it beyond the edge: it tips over and slides down around the rounded end."""
+    table = LineGuide(start=(-100.0, 0.0), end=(0.0, 0.0))
+    sheet = strip(lead=(70.0, 0.26), length=80.0, bars=16, youngs_modulus=30.0)
+    run = diffeed.simulate(machine(sheet, guides={"table": table}), duration=0.15, dt=1e-4, frames=16)
+    assert bool(run.ok), run.failure.describe()
+    assert float(run.sheets["strip"].nodes[-1, :, 1].max()) < 0.0
+
+
 def test_a_long_bar_that_enters_an_arc_is_not_across_it():
     """Its front is on the arc, its rear far outside the arc's circle, which it meets 2.5 mm before the arc begins."""
     turn = ArcGuide(center=(0.0, 14.75), radius=15.0, start_angle=-90.0, sweep=40.0)
@@ -221,7 +259,7 @@ def test_crossing_is_what_plain_geometry_says(seed):
 
     def crossed(scene):
         model = build(scene)
-        return guides_crossed(model, initial_state(model, scene))
+        return misplaced(model, initial_state(model, scene)).across
 
     found = np.asarray(jax.jit(jax.vmap(crossed))(diffeed.stack(draws)))
     names = (*build(draws[0]).lines.names, *build(draws[0]).arcs.names)

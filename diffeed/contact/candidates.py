@@ -352,15 +352,15 @@ def _path_speed(path: Path) -> Array:
     return rate[0] + rate[1] + SIZE * rate[2]
 
 
-def check_reach(model: Model, found: Candidates, after: State) -> Array:
-    """Whether the candidates were good until `after`: no pair that was left out has come to touch."""
-    (x, y), (then_x, then_y) = nodes(model, pose(model, after)), nodes(model, found.at)
+def check_reach(model: Model, found: Candidates, after: State, at: Pose, world: Bodies) -> Array:
+    """Whether the candidates were good until `after`, with its pose and bodies: no pair that was left out has come to touch."""
+    (x, y), (then_x, then_y) = nodes(model, at), nodes(model, found.at)
     way, travel = (x - then_x, y - then_y), jnp.max(jnp.abs(after.travel - found.travel), initial=0.0)
     furthest = jnp.max(jnp.abs(way[0]) + jnp.abs(way[1])) + travel + found.moved
     good = ~(furthest > found.free) & ~(2.0 * travel > found.apart)
     if not found.watched:
         return good
-    motions = _ways(model, found.world, bodies(model, after, after.time, after.time))
+    motions = _ways(model, found.world, world)
     families = [name for name, count in zip(("circles", "lines", "arcs"), capacities(model)[:3], strict=True) if count]
     for family, seen in zip(families, found.watched, strict=True):
         good &= ~jnp.any(_used_up(model, seen, way, motions[family]))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.base.smooth import polar
-from diffeed.chain.kinematics import nodes, pose
+from diffeed.chain.kinematics import Pose, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.kept import DEEP_IN_GUIDES
@@ -30,18 +30,29 @@ class _Seen(NamedTuple):
     across: Array  # bool: it does, and one end is deep behind
 
 
-def guides_crossed(model: Model, state: State) -> Array:
-    """(lines + arcs,) bool: a bar has its ends on both sides of the guide, one of them deep behind.
+class Misplaced(NamedTuple):
+    """Guides, (lines + arcs,) bool."""
 
-    The sides alone would also show an end that is pressed in; beyond the guide's own ends a sheet may cross freely.
-    """
-    return _any_bar(model, [s.across & (s.meets[0] < 0) & (s.meets[1] < 0) for s, _ in _families(model, state)])
+    across: Array  # a bar has its ends on both sides, one of them deep behind
+    behind: Array  # a bar reaches past a free end behind the face, less than its depth
 
 
-def guides_passed_behind(model: Model, state: State) -> Array:
-    """(lines + arcs,) bool: a bar reaches past a free end of the guide behind its face, less than its depth."""
+def misplaced(model: Model, state: State) -> Misplaced:
+    """At a state."""
+    return misplaced_at(model, pose(model, state), bodies(model, state, state.time, state.time))
+
+
+def misplaced_at(model: Model, at: Pose, world: Bodies) -> Misplaced:
+    """The sides of a bar's ends alone would also show an end that is pressed in; beyond a guide's own ends a sheet may cross
+    freely."""
+    families = _families(model, at, world)
+    across = [s.across & (s.meets[0] < 0) & (s.meets[1] < 0) for s, _ in families]
+    return Misplaced(_any_bar(model, across), _any_bar(model, _behind(families)))
+
+
+def _behind(families: list[tuple[_Seen, Face]]) -> list[Array]:
     found = []
-    for seen, face in _families(model, state):
+    for seen, face in families:
         height, back = seen.height, -(face.tip_radius + CLEARLY)
         behind = jnp.zeros((height.shape[0], height.shape[1] - 1), bool)
         for past, joined in zip(seen.beyond, face.joined, strict=True):
@@ -51,7 +62,7 @@ def guides_passed_behind(model: Model, state: State) -> Array:
             there = height[:, :-1] + share * (height[:, 1:] - height[:, :-1])
             behind |= reaches & (there < back[:, None]) & (there > -face.depth[:, None])
         found.append(behind)
-    return _any_bar(model, found)
+    return found
 
 
 def _any_bar(model: Model, found: list[Array]) -> Array:
@@ -61,11 +72,10 @@ def _any_bar(model: Model, found: list[Array]) -> Array:
     return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
 
 
-def _families(model: Model, state: State) -> list[tuple[_Seen, Face]]:
+def _families(model: Model, at: Pose, world: Bodies) -> list[tuple[_Seen, Face]]:
     if not (model.lines.names or model.arcs.names):
         return []
-    x, y = nodes(model, pose(model, state))
-    world = bodies(model, state, state.time, state.time)
+    x, y = nodes(model, at)
     found = [(_by_lines(world, x, y), world.lines.faces)] if model.lines.names else []
     return found + ([(_by_arcs(world, x, y), world.arcs.faces)] if model.arcs.names else [])
 

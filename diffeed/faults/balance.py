@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.chain.kinematics import pose
+from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State
 from diffeed.contact.sweep import Pairs
 from diffeed.forces.contacts import Contacts
@@ -46,9 +46,9 @@ class Sums(NamedTuple):
     through: Array  # the same without signs
 
 
-def opened(model: Model, state: State) -> Book:
+def opened(model: Model, state: State, at: Pose) -> Book:
     """The book of a run that begins."""
-    start = sum(sheet_energies(model, state, pose(model, state)), jnp.zeros(()))
+    start = sum(sheet_energies(model, state, at), jnp.zeros(()))
     zero = jnp.zeros_like(start)
     return Book(jnp.zeros((len(Sums._fields),), start.dtype), start, zero, zero)
 
@@ -72,10 +72,10 @@ def entered(model: Model, book: Book, touching: Contacts, h: Array) -> Book:
     return book._replace(sums=jnp.stack(sums))
 
 
-def judged(model: Model, book: Book, state: State, pace: Array) -> tuple[Book, Array]:
+def judged(model: Model, book: Book, state: State, at: Pose, pace: Array) -> tuple[Book, Array]:
     """The book after a block of steps in which no surface was faster than `pace`, and whether energy came from nowhere."""
     sums = Sums(*book.sums)
-    moving, bending, height = sheet_energies(model, state, pose(model, state))
+    moving, bending, height = sheet_energies(model, state, at)
     # A spring may be loaded too much for the length of a step, where a contact begins within it: what counts is what comes
     # out of it.
     more = moving + bending + height - book.start - sums.pressed

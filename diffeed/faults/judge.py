@@ -63,7 +63,8 @@ def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
     depth, closing = _depth_and_approach(pairs, kept, h)
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
     unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
-    return jnp.where(jnp.any(deep), TOO_DEEP, jnp.where(jnp.any(unresolved), UNRESOLVED, 0)).astype(jnp.int32)
+    of_each = jnp.where(deep, 2, jnp.where(unresolved, 1, 0)).astype(jnp.int32)  # one sweep: every step pays for it
+    return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[jnp.max(of_each)]
 
 
 def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:

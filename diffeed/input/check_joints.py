@@ -47,7 +47,7 @@ def _ends(part: str, guide: Any) -> list[_End]:
         way = (end - start) / np.hypot(*(end - start))
         normal = np.array([-way[1], way[0]])
         return [_End(part, start, way, normal), _End(part, end, -way, normal)]
-    if not isinstance(guide, ArcGuide):
+    if not isinstance(guide, ArcGuide) or not isinstance(guide.side, str):
         return []
     center, radius, begin, sweep = (sound(guide, f) for f in ("center", "radius", "start_angle", "sweep"))
     if center is None or radius is None or begin is None or sweep is None or abs(float(sweep)) >= 360.0:

@@ -12,7 +12,7 @@ from diffeed.base.limits import run_problem, scene_size
 from diffeed.base.records import replace
 from diffeed.chain.kinematics import to_nodes
 from diffeed.chain.state import State, initial_state
-from diffeed.contact.crossing import guides_crossed, guides_passed_behind
+from diffeed.contact.crossing import Misplaced, misplaced
 from diffeed.contact.kept import keep_all
 from diffeed.input.check_records import check_records
 from diffeed.input.check_values import show
@@ -57,10 +57,12 @@ def check(
         longest = None if tolerance is not None else STEP if dt is None else dt
         if problem := run_problem(float(scene.duration), longest, frames, scene_size(scene)):
             return [problem]
-    model, before, state, found, now, across, behind = prepare(scene)
+    model, before, state, found, now, wrong = prepare(scene)
     problems = _deep(model, before, "starts", allowed=0.5 if scene.initial == "settled" else 0.0)
-    problems += [f"{part}: a bar lies across it at the start; {IN_FRONT}" for part in _guides(model, across)]
-    problems += [f"{part}: a bar lies behind its face at the start; {IN_FRONT}" for part in _guides(model, behind)]
+    problems += [f"{part}: a bar lies across it at the start; {IN_FRONT}" for part in _guides(model, wrong.across)]
+    problems += [
+        f"{part}: a bar lies behind its face at the start; {IN_FRONT}" for part in _guides(model, wrong.behind)
+    ]
     if scene.initial == "settled" and not problems:
         if not found:
             problems.append('no rest state was found from which to start; set initial = "given" to start as written')
@@ -87,8 +89,7 @@ class Prepared(NamedTuple):
     state: State  # from which the run starts
     found: Array  # bool: settled, or not to be settled
     gap: Array  # at that state
-    across: Array  # (lines + arcs,) bool: a bar lies across the guide at the start as written
-    behind: Array  # and behind its face past an end
+    misplaced: Misplaced  # at the start as written
 
 
 @jit_of_scene
@@ -99,8 +100,7 @@ def prepare(scene: Scene) -> Prepared:
     state, found = start, jnp.asarray(True)
     if scene.initial == "settled":
         state, found = settle_model(model, start)
-    misplaced = guides_crossed(model, start), guides_passed_behind(model, start)
-    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), *misplaced)
+    return Prepared(model, _gaps(model, start), state, found, _gaps(model, state), misplaced(model, start))
 
 
 def _gaps(model: Model, state: State) -> Array:

@@ -9,10 +9,12 @@ from jax import Array, lax
 from jax.ad_checkpoint import checkpoint_name
 
 from diffeed.base.records import replace
+from diffeed.chain.kinematics import Pose, pose
 from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
+from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.candidates import Candidates, check_reach
-from diffeed.contact.crossing import guides_crossed, guides_passed_behind
+from diffeed.contact.crossing import misplaced_at
 from diffeed.contact.kept import Kept
 from diffeed.faults import balance, judge
 from diffeed.faults.balance import Book
@@ -68,9 +70,10 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     state = _all_with_tangents(state)
     cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
-    cause = jnp.where(cause == 0, _misplaced(model, state), cause).astype(jnp.int32)
+    at, world = pose(model, state), bodies(model, state, state.time, state.time)
+    cause = jnp.where(cause == 0, _misplaced(model, at, world), cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
-    dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state)))
+    dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state, at)))
     return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), book, jnp.zeros((), dtype))
 
 
@@ -122,21 +125,23 @@ def recomputed(step: Step) -> Step:
     return jax.checkpoint(step, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(VERDICT))
 
 
-def _misplaced(model: Model, state: State) -> Array:
+def _misplaced(model: Model, at: Pose, world: Bodies) -> Array:
     """The cause if a bar is where no sheet may be, else 0."""
-    across, behind = jnp.any(guides_crossed(model, state)), jnp.any(guides_passed_behind(model, state))
-    return jnp.where(across, ACROSS, jnp.where(behind, BEHIND, 0))
+    found = misplaced_at(model, at, world)
+    return jnp.where(jnp.any(found.across), ACROSS, jnp.where(jnp.any(found.behind), BEHIND, 0))
 
 
 def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
     """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
     guide or behind one, or if energy came from nowhere: then the run stands where its energy was last good."""
-    near_enough = check_reach(model, found, carry.state)
+    model_, state, found = lax.stop_gradient((model, carry.state, found))  # judging has no derivative
+    at, world = pose(model_, state), bodies(model_, state, state.time, state.time)
+    near_enough = check_reach(model_, found, state, at, world)
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
-    cause = jnp.where(near_enough, _misplaced(model, carry.state), unseen)
+    cause = jnp.where(near_enough, _misplaced(model_, at, world), unseen)
     book, state = carry.book, carry.state
     if balance.is_kept(model):
-        book, gained = balance.judged(*lax.stop_gradient((model, book, state, found.pace)))
+        book, gained = balance.judged(model_, *lax.stop_gradient((book, state)), at, found.pace)
         gained &= (carry.cause == 0) & (cause == 0)
         cause = jnp.where(gained, FROM_NOWHERE, cause)
         state = jax.tree.map(lambda a, b: jnp.where(gained, a, b), begun.state, state)

@@ -12,7 +12,7 @@ from diffeed.base.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.base.records import replace
 from diffeed.chain.state import State
 from diffeed.contact.candidates import search
-from diffeed.contact.crossing import guides_crossed, guides_passed_behind
+from diffeed.contact.crossing import misplaced
 from diffeed.contact.kept import keep_all
 from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
 from diffeed.faults.judge import severity
@@ -31,9 +31,8 @@ BLOCK = 16
 """Most steps between two searches for candidates."""
 LONG_BLOCK = 8
 """Length of a block from which a frame may get some steps more than asked for: few long ones stay as they are."""
-SEARCHED = 2e-3
-"""s: with long steps the searches stay this close in time, at a tenth more cost (5e-4 s). A search over a longer time must
-reach further, and finds more bodies than it keeps as soon as the tail of a limp sheet flaps."""
+SEARCHED = 4e-3
+"""s: with long steps the searches stay this close in time: further on, what moves now says little."""
 MANY = 40_000
 """Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
 STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000
@@ -243,14 +242,14 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     assert touching.sheets is not None
     felt = felt_by_bodies(model, touching.sheets, at)
     about = severity(touching.sheets, keep_all(model), h)
-    crossed, passed = guides_crossed(model, last.state), guides_passed_behind(model, last.state)
-    misplaced = jnp.where(last.cause == BEHIND, passed, crossed).astype(felt.gap.dtype)
-    misplaced = jnp.concatenate([jnp.zeros((len(model.circle_names),)), misplaced])
+    wrong = misplaced(model, last.state)
+    astray = jnp.where(last.cause == BEHIND, wrong.behind, wrong.across).astype(felt.gap.dtype)
+    astray = jnp.concatenate([jnp.zeros((len(model.circle_names),)), astray])
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
     nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
     pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(felt.gap, 0.0)), pressed)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
-    weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), misplaced, pressed))
+    weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), astray, pressed))
     by_part = _by_part(model, weight)
     return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
 

@@ -1,0 +1,87 @@
+"""What `check` refuses of guides that meet, and what is only remarked on."""
+
+import numpy as np
+import pytest
+
+import diffeed
+from diffeed import ArcGuide, FixedRoller, LineGuide, MovableRoller, Profile, Scene, Sheet
+from diffeed.base.records import replace
+from diffeed.input.check_records import check_records
+
+NOTE = Sheet(length=72.0, thickness=0.1, width=140.0, density=9e-7, youngs_modulus=3000.0, bars=24)
+FLOOR = LineGuide(start=(-20.0, 0.0), end=(0.0, 0.0))
+TURN = ArcGuide(center=(0.0, 15.0), radius=15.0, start_angle=-90.0, sweep=40.0)
+
+
+def guided(**guides):
+    return Scene(sheets={"note": NOTE}, guides=guides, initial="given")
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
+    """However the arc is swept. The middle of a wedge and ends that do not meet are not judged."""
+    turn = replace(TURN, start_angle=-50.0, sweep=-40.0) if backwards else TURN
+    assert check_records(guided(floor=FLOOR, turn=turn)) == []
+    (said,) = check_records(guided(floor=FLOOR, turn=replace(turn, side="outside")))
+    assert said.startswith(
+        "guides.floor and guides.turn go on in each other at [0.0, 0.0] but bear on opposite sides: turn one"
+    )
+    (said,) = check_records(guided(floor=replace(FLOOR, start=(0.0, 0.0), end=(-20.0, 0.0)), turn=turn))
+    assert "opposite sides" in said
+    apart = replace(turn, center=(0.0, 15.1), side="outside")
+    assert check_records(guided(floor=FLOOR, turn=apart)) == []
+    wedge = {
+        "above": LineGuide(start=(0.0, 0.0), end=(20.0, 3.0)),
+        "below": LineGuide(start=(20.0, -3.0), end=(0.0, 0.0)),
+    }
+    assert check_records(guided(**wedge)) == []
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "said"),
+    [
+        ("sheets.note.youngs_modulus", 3e9, "sheets.note.youngs_modulus is 3e+09 N/mm2: in Pa?"),
+        ("sheets.note.youngs_modulus", 3.0, "sheets.note.youngs_modulus is 3 N/mm2: in GPa?"),
+        ("sheets.note.density", 900.0, "sheets.note.density is 900 kg/mm3: in other units?"),
+        ("sheets.note.thickness", 1e-4, "sheets.note.thickness is 0.0001 mm: in other units?"),
+        ("gravity", (0.0, -9.81), "gravity is 9.81 mm/s2: in m/s2?"),
+        ("guides.turn.sweep", 1.5708, "guides.turn.sweep is 1.5708 degrees: in radians?"),
+        ("rollers.drive.surface_speed", -1.5, "rollers.drive turns at 1.5 mm/s at most: in m/s?"),
+        (
+            "rollers.pinch.direction",
+            (0.0, -1.0),
+            "rollers.pinch.direction points at rollers.drive, so that its preload opens",
+        ),
+    ],
+)
+def test_a_number_that_is_hardly_meant_is_remarked_on(part, change, said):
+    ramp = Profile(times=[0.0, 0.1], values=[0.0, -1500.0])
+    rollers = {
+        "drive": FixedRoller(center=(0.0, -10.05), radius=10.0, surface_speed=ramp),
+        "pinch": MovableRoller(center=(0.0, 10.05), direction=(0.0, 1.0), radius=10.0, mass=0.01, preload=4.0),
+    }
+    scene = diffeed.scene(sheets={"note": NOTE}, rollers=rollers, guides={"turn": TURN})
+    assert diffeed.remarks(scene) == []
+    (remark,) = diffeed.remarks(diffeed.put(scene, part, change))
+    assert remark.startswith(said)
+
+
+def test_a_run_far_too_long_is_remarked_on():
+    scene = diffeed.load_scene("film_feeder")
+    assert diffeed.remarks(scene) == []
+    (remark,) = diffeed.remarks(replace(scene, duration=1500.0))
+    assert remark.startswith("duration is 1500 s, in which the drives feed")
+
+
+@pytest.mark.parametrize("name", diffeed.shipped_scenes())
+def test_nothing_is_unusual_about_shipped_scenes(name):
+    assert diffeed.remarks(diffeed.load_scene(name)) == []
+
+
+def test_what_is_wrong_or_traced_is_not_remarked_on():
+    """That is for `check`; a remark is never an error."""
+    odd = Scene(
+        sheets={"note": replace(NOTE, density="heavy", thickness=np.nan)},
+        rollers={"r": FixedRoller(center=None, radius=None)},
+    )
+    assert diffeed.remarks(odd) == []
