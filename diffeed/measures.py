@@ -89,9 +89,9 @@ def arrival(trajectory: Trajectory, sheet: str, sensor: str, edge: str = "lead")
 
 
 def progress(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
-    """Fed over commanded distance per sheet: 1 for ideal feeding. Needs observe=("feed",)."""
+    """Distance fed by driven rollers over what they turned, per sheet: 1 for ideal feeding. Needs observe=("feed",)."""
     feed = _seen(trajectory, "feed", "progress")
-    return {name: f.fed / jnp.where(f.commanded == 0, 1.0, f.commanded) for name, f in feed.items()}
+    return {name: f.driven / jnp.where(f.commanded == 0, 1.0, f.commanded) for name, f in feed.items()}
 
 
 def curvature(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:

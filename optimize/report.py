@@ -77,6 +77,11 @@ def print_result(console: "Console", result: Result) -> None:
     console.print(
         f"{problem.study.title or problem.study.scene}: {word}. The search ended: {result.reason}.", style="bold"
     )
+    if before.objective == 0.0 and not result.improved:
+        console.print(
+            "The objective is 0 at the start, and no less can be had: what its goals measure does not happen there (the slip of"
+            " a roller that touches no sheet). For a machine that jams ask for jam_margin."
+        )
     for m, name in enumerate(problem.media):
         where = f"{name}: " if name else ""
         console.print(f"  {where}before {before.verdicts[m].sentence()}")

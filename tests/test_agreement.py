@@ -1,5 +1,7 @@
 """Runs compared with finer ones: what agrees, what does not, and that wrong runs which say that they hold are found out."""
 
+from collections import namedtuple
+
 import jax
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import diffeed
 from diffeed import cli
 from diffeed.base.records import replace
 from diffeed.input.parts import Scene
-from diffeed.readings.agreement import FINER, SHARE, TOLD
+from diffeed.readings.agreement import FINER, OF_ROLLERS, SHARE, TOLD
 from diffeed.readings.trajectory import Failure, Trajectory
 from diffeed.readings.verdict import judged
 from tests.search import valid
@@ -74,6 +76,30 @@ def test_another_verdict_and_a_failed_run_are_no_confirmation(scene, run):
     assert (found.before, found.after, found.holds, found.apart) == ("passed", "failed", False, 0.0)
     assert "the verdict is failed" in found.sentence()
     assert not diffeed.confirm(scene, broken, broken).holds
+
+
+Nip = namedtuple("Nip", OF_ROLLERS)
+
+
+def test_what_rollers_do_differently_is_told(scene, run):
+    """By more than a fifth of their own and a twentieth of the largest; over the whole of runs that observed it."""
+
+    def seen(**of_drive):
+        def nip(**values):
+            return Nip(**{**dict.fromkeys(Nip._fields, 10.0), **values})
+
+        return {"drive": nip(**of_drive), "pinch": nip(slip_rms=np.nan)}
+
+    def compared(first, second):
+        return diffeed.confirm(scene, replace(run, observed=first), replace(run, observed=second))
+
+    alike = compared({"nips": seen()}, {"nips": seen(slip_rms=11.0, torque_mean=10.3)})
+    assert alike.unsure == ()
+    found = compared({"nips": seen(slip_rms=16.6, force_peak=0.1)}, {"nips": seen(slip_rms=47.2, force_peak=0.3)})
+    assert found.unsure == ("slip RMS of drive, 16.6 mm/s here and 47.2 there",)
+    assert found.holds
+    assert found.sentence().endswith(f"But not confirmed: {found.unsure[0]}.")
+    assert compared({}, {"nips": seen()}).unsure == ()
 
 
 def test_other_frames_are_refused(scene, run):

@@ -402,7 +402,7 @@ def test_a_shipped_scene_is_printed_as_it_stands():
     assert done.output == (ROOT / "diffeed/scenes/gap_bridge.toml").read_text()
     again = invoke("scenes", "gap_brige")
     assert again.exit_code == 2
-    assert "there is no shipped scene of that name; there are: film_feeder, gap_bridge" in again.output
+    assert 'there is no shipped scene of that name; did you mean "gap_bridge"?; there are: film_feeder' in again.output
 
 
 def test_every_method_is_named_in_the_help():
@@ -553,6 +553,28 @@ def test_a_report_with_long_names_fits_the_terminal(width):
     assert "…" not in text.getvalue()
     assert "-1235" in text.getvalue()
     assert "never" in text.getvalue()
+
+
+def test_a_tolerance_is_said_to_be_that_of_a_step():
+    run = {"tolerance": 0.01}
+    assert report._steps(run) == "The tolerance of 0.01 mm is that of each step; together they leave"
+    assert report._steps({"tolerance": None}) == "The steps leave"
+
+
+def test_before_and_after_tells_what_rollers_and_energies_do():
+    def summary(torque, work):
+        nip = {**dict.fromkeys(report.COMPARED, 1.0), "torque_mean": torque}
+        return {
+            "verdict": {"status": "passed"}, "sheets": {}, "rollers": {"drive": nip}, "energy": {"work of drives": work},
+            "run": {"simulated": 1.0},
+        }  # fmt: skip
+
+    text = io.StringIO()
+    report.print_changes(Console(file=text, width=80), summary(0.5, 3.0), summary(15.4, 4.0))
+    rows = [line.split() for line in text.getvalue().splitlines()]
+    assert ["drive:", "torque", "mean", "(N", "mm)", "0.5", "15.4", "+14.9"] in rows
+    assert ["work", "of", "drives", "(N", "mm)", "3", "4", "+1"] in rows
+    assert not [row for row in rows if "slip" in row]
 
 
 @pytest.mark.parametrize(("curvature", "radius"), [(0.01, "100.0"), (5e-17, "-"), (0.0, "-")])

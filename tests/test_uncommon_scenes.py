@@ -177,6 +177,37 @@ def test_a_state_serves_where_more_sticks():
     assert np.all(np.isfinite(diffeed.linearise(more, run.final.state).mass))
 
 
+def test_a_sheet_that_is_driven_backwards_is_told_so():
+    """By a roller above it that turns clockwise, tail first; turned about it feeds the sheet to the sensor."""
+    ahead = diffeed.Sensor(position=(30.0, 0.0), direction=(1.0, 0.0))
+    for speed in (300.0, -300.0):
+        scene = replace(table({"surface_speed": speed}), sensors={"exit": ahead}, goal="exit")
+        scene = replace(scene, sheets={"s": replace(scene.sheets["s"], lead=(25.0, 0.05))})
+        run = diffeed.simulate(scene, duration=0.3, dt=1e-4, frames=31)
+        found = measures.verdict(scene, run)
+        assert ("driven backwards by" in found.reason) == (speed < 0), found
+        feed = diffeed.simulate(scene, duration=0.02, dt=1e-4, frames=2, observe=("feed",)).observed["feed"]["s"]
+        assert np.sign(float(feed.driven)) == np.sign(speed)
+
+
+def test_only_scenes_are_run():
+    with pytest.raises(
+        TypeError, match=r'simulate takes a Scene \(of diffeed.load_scene or diffeed.scene\), but this is "x"'
+    ):
+        diffeed.simulate("x")
+
+
+def test_progress_counts_no_coasting():
+    """What a sheet slides on by itself was not fed."""
+    scene = replace(table({"surface_speed": 300.0}), duration=0.4)
+    floor = replace(scene.guides["g"], friction=0.0)
+    scene = replace(scene, guides={"g": floor})
+    run = diffeed.simulate(scene, dt=1e-4, frames=5, observe=("feed",))
+    feed = run.observed["feed"]["s"]
+    assert float(feed.fed) > 1.5 * float(feed.commanded), "it coasts for most of the time"
+    assert float(measures.progress(scene, run)["s"]) == pytest.approx(1.0, abs=0.1)
+
+
 def test_what_cannot_be_is_said():
     """A start that a settled scene would forget, a wall within a sheet, a vector for one number."""
     settled = replace(table({"surface_speed": 0.0}), initial="settled")

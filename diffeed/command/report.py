@@ -17,7 +17,14 @@ if TYPE_CHECKING:
 OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
 """What must be observed for a report."""
 COLORS = {"passed": "bold green", "late": "bold yellow"}
-COMPARED = {"slip_rms": "slip RMS (mm/s)", "force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
+COMPARED = {
+    "contact_time": "contact (s)",
+    "slip_mean": "slip mean (mm/s)",
+    "slip_rms": "slip RMS (mm/s)",
+    "force_mean": "normal mean (N)",
+    "force_peak": "normal peak (N)",
+    "torque_mean": "torque mean (N mm)",
+}
 """Of each roller, before and after."""
 FLAT = 1e-7
 """1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""
@@ -132,6 +139,8 @@ def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[s
         old, new = before["rollers"].get(name, {}), after["rollers"][name]
         for key, meaning in COMPARED.items():
             yield f"{name}: {meaning}", old.get(key), new[key]
+    for name, new in after.get("energy", {}).items():
+        yield f"{name} (N mm)", before.get("energy", {}).get(name), new
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------
@@ -180,7 +189,7 @@ def _sheet_table(sheets: dict[str, Any]) -> "Table":
         "fed\nmm",
         "rollers\nturned\nmm",
         "fed per\nturned",
-        "longest\nstall\ns",
+        "longest\nstall,\nheld\ns",
     )
     for name, row in sheets.items():
         curvature = row["largest_curvature"]
@@ -195,7 +204,8 @@ def _gap_table(gaps: dict[str, Any]) -> "Table":
     for name, gap in list(gaps.items())[:NEAREST]:
         table.add_row(name, _text(gap))
     if len(gaps) > NEAREST:
-        table.add_row(f"and {len(gaps) - NEAREST} parts further away", "")
+        more = len(gaps) - NEAREST
+        table.add_row(f"and {more} {'part' if more == 1 else 'parts'} further away", "")
     return table
 
 
@@ -213,8 +223,14 @@ def _took(run: dict[str, Any]) -> str:
         f"{run['scene']}: {run['simulated']:.4g} s in {run['steps']} steps of {run['dt']:.4g} s "
         f"({run['method']}, {run['precision']}); took {run['compile_seconds']:.1f} s to prepare and compile, "
         f"{run['run_seconds']:.1f} s to run.\n"
-        f"The steps leave an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles or bounces"
+        f"{_steps(run)} an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles or bounces"
     )
+
+
+def _steps(run: dict[str, Any]) -> str:
+    if run.get("tolerance") is None:
+        return "The steps leave"
+    return f"The tolerance of {run['tolerance']:g} mm is that of each step; together they leave"
 
 
 def _digits(value: float | None) -> str:

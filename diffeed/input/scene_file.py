@@ -62,7 +62,10 @@ def shipped_text(name: str) -> str:
     """The file of a shipped scene, comments and all; SceneError if there is none of that name."""
     shipped = _shipped()
     if name not in shipped:
-        raise SceneError([f"there is no shipped scene of that name; there are: {', '.join(sorted(shipped))}"], name)
+        like = nearest(name, shipped)
+        raise SceneError(
+            [f"there is no shipped scene of that name{like}; there are: {', '.join(sorted(shipped))}"], name
+        )
     return shipped[name].read_text(encoding="utf-8")
 
 
@@ -104,7 +107,8 @@ def _find(where: str) -> Traversable:
     except (OSError, ValueError):  # a name too long, or with a zero byte in it
         pass
     known = ", ".join(sorted(shipped))
-    raise SceneError([f"there is no such file, nor a shipped scene of that name; shipped scenes: {known}"], where)
+    like = nearest(where, shipped)
+    raise SceneError([f"there is no such file, nor a shipped scene of that name{like}; shipped scenes: {known}"], where)
 
 
 def _parse(file: Traversable, where: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ A run sees what its steps do, not what they leave out: a rebound that begins and
 to whichever side rounding tips it.
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,17 @@ FINER = 4
 TOLD, SHARE = 3.0, 0.02
 """Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
 larger."""
+APART, SMALL = 0.2, 0.05
+"""Of a roller's own value and of the largest of all rollers: what differs by more than both is not confirmed."""
+MOST = 5
+"""Differences that are told."""
+OF_ROLLERS = {
+    "slip_rms": ("slip RMS", "mm/s"),
+    "force_mean": ("mean normal force", "N"),
+    "force_peak": ("peak normal force", "N"),
+    "torque_mean": ("mean torque", "N mm"),
+}
+"""What of a roller is held against the finer run, where both observed `nips`."""
 
 
 def finer(dt: float | None = None, tolerance: float | None = None, most_steps: int | None = None) -> dict[str, Any]:
@@ -42,9 +54,17 @@ class Confirmation(NamedTuple):
     after: str  # and of the finer one
     until: float  # s, up to which the runs were compared: when the fate of the last sheet was decided, or the end
     holds: bool  # they have one status, and are no further apart than TOLD and SHARE allow
+    unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
 
     def sentence(self) -> str:
         """What it came to, in words."""
+        if not (self.holds and self.unsure):
+            return self._of_place()
+        more = len(self.unsure) - MOST
+        told = "; ".join(self.unsure[:MOST]) + (f"; and {more} more" if more > 0 else "")
+        return f"{self._of_place()} But not confirmed: {told}."
+
+    def _of_place(self) -> str:
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s)"
         up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
@@ -84,4 +104,18 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
             apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
     near = apart <= max(TOLD * float(run.error), SHARE * way)
     holds = bool(near and before == after != "failed")
-    return Confirmation(apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds)
+    unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
+    return Confirmation(apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds, unsure)
+
+
+def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:
+    """What the rollers of two runs do differently, over the whole of both."""
+    if "nips" not in run.observed or "nips" not in again.observed:
+        return
+    mine, other = run.observed["nips"], again.observed["nips"]
+    for field, (meaning, unit) in OF_ROLLERS.items():
+        values = {name: [float(getattr(nips[name], field)) for nips in (mine, other)] for name in mine}
+        largest = max((abs(v) for pair in values.values() for v in pair if np.isfinite(v)), default=0.0)
+        for name, (here, there) in values.items():
+            if abs(here - there) > max(APART * max(abs(here), abs(there)), SMALL * largest):
+                yield f"{meaning} of {name}, {here:.3g} {unit} here and {there:.3g} there"

@@ -277,6 +277,7 @@ class Feed:
     """Distances so far, mm, (sheets,)."""
 
     fed: Any = number(unit="mm", doc="distance that the sheet has moved along itself")
+    driven: Any = number(unit="mm", doc="the part of it while a driven roller that turns touched the sheet")
     commanded: Any = number(unit="mm", doc="distance that the driven rollers in contact have turned")
     longest_stall: Any = number(unit="s", doc="longest time at less than a tenth of the commanded speed")
     stall: Any = number(unit="s", doc="time of the present stall")
@@ -300,7 +301,7 @@ def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> 
 
 def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
     zero = jnp.zeros((len(model.layout.names),))
-    return Feed(fed=zero, commanded=zero, longest_stall=zero, stall=zero)
+    return Feed(fed=zero, driven=zero, commanded=zero, longest_stall=zero, stall=zero)
 
 
 def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
@@ -311,6 +312,7 @@ def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
     stall = jnp.where(stalled, feed.stall + h, 0.0)
     return Feed(
         fed=feed.fed + h * speed,
+        driven=feed.driven + jnp.where(wanted != 0, h * speed, 0.0),
         commanded=feed.commanded + h * wanted,
         longest_stall=jnp.maximum(feed.longest_stall, stall),
         stall=stall,

@@ -20,6 +20,8 @@ REACHED, FREE, RESTS, LATE, FOLDS, STRAYS, STALLS, LET_GO, BROKE = range(9)
 _STATUS_OF = np.array([0, 0, 0, 1, 2, 2, 2, 2, 3])
 STALLED = 0.1
 """Share of the commanded speed below which a sheet stands still."""
+BACK = 0.1
+"""Of a sheet's length: driven backwards by more is told."""
 STRAYED = 50.0
 """mm outside the box around all parts that counts as having left the path."""
 
@@ -111,8 +113,17 @@ def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
         LET_GO: f"{name} stalled: no driven roller holds it",
     }[reason]
     status = STATUSES[int(found.status)]
+    if status != "passed" and (back := _driven_back(scene, trajectory, name)):
+        text += f", driven backwards by {back:.3g} mm (the angles and speeds of rollers are positive counter-clockwise)"
     place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
     return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
+
+
+def _driven_back(scene: Scene, trajectory: Trajectory, name: str) -> float:
+    """mm by which driven rollers fed a sheet backwards, if that is a good part of its length, else 0."""
+    fed, k = motion(scene, trajectory.states).fed, sorted(scene.sheets).index(name)
+    way = float(np.trapezoid(np.asarray(fed.wanted)[:, k], np.asarray(trajectory.time)))
+    return -way if way < -BACK * float(scene.sheets[name].length) else 0.0
 
 
 def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:

@@ -65,7 +65,10 @@ def check(
     ]
     if scene.initial == "settled" and not problems:
         if not found:
-            problems.append('no rest state was found from which to start; set initial = "given" to start as written')
+            problems.append(
+                "no rest state was found from which to start: look for a sheet that nothing holds up, and for a mass, stiffness"
+                ' or size in the wrong unit; initial = "given" starts as written'
+            )
         problems += _speeds(scene)
         problems += _deep(model, now, "rests", allowed=0.0) if found else []
     if (dt is not None or frames is not None) and method in EXPLICIT and not problems:  # a run is meant

@@ -132,6 +132,7 @@ def contributions(
         low, high = (100.0 * np.asarray(end, float)[kept] for end in ends)
         ax.hlines(rows[series], low, high, color=plot_style.INK, linewidth=1.0, label="" if i else "interval")
     _write_names(ax, names, order, most)
+    ax.set_xlim(min(0.0, ax.get_xlim()[0]), max(100.0, ax.get_xlim()[1]))  # a share of hardly anything looks like one
     plot_style.label(ax, "Share of the variance (%)", "Deviation")
     ax.grid(visible=False, axis="y")
     plot_style.legend_above(ax)
