@@ -67,7 +67,8 @@ def paths(
     nodes = outlines.vector(trajectory.sheets[_sheet_name(scene, sheet)].nodes)
     for i, bar in enumerate(bars):
         center, style = 0.5 * (nodes[:, bar] + nodes[:, bar + 1]), plot_style.line(i)
-        ax.plot(*center.T, label=f"centre of bar {bar}", zorder=5, **style)
+        end = " (lead)" if bar == 0 else " (tail)" if bar == nodes.shape[1] - 2 else ""
+        ax.plot(*center.T, label=f"centre of bar {bar}{end}", zorder=5, **style)
         ax.plot(*center[0], marker="o", markersize=3, color=style["color"], zorder=5)
     plot_style.label(ax, "x (mm)", "y (mm)")
     plot_style.legend_above(ax)

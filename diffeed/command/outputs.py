@@ -58,7 +58,7 @@ def _writers(
         title = summary["run"]["scene"]
         first, second = ((scene, trajectory), None) if before is None else (before, (scene, trajectory))
         writers["player.html"] = lambda path: player.write_player(path, *first, compare=second, title=title)
-        writers["paths.png"] = picture(lambda: plot.paths(scene, trajectory, bars=_first_bars(scene)))
+        writers["paths.png"] = picture(lambda: plot.paths(scene, trajectory, bars=_ends_and_middle(scene)))
         if scene.rollers:
             writers["slip.png"] = picture(lambda: plot.slip(scene, trajectory))
             writers["nip_forces.png"] = picture(lambda: plot.nip_forces(scene, trajectory))
@@ -66,8 +66,9 @@ def _writers(
     return writers
 
 
-def _first_bars(scene: Scene) -> tuple[int, ...]:
-    return tuple(range(min(3, scene.sheets[min(scene.sheets)].bars)))
+def _ends_and_middle(scene: Scene) -> list[int]:
+    bars = scene.sheets[min(scene.sheets)].bars
+    return sorted({0, bars // 2, bars - 1})
 
 
 def picture(draw: Callable[[], Any]) -> Callable[[Path], None]:
