@@ -7,6 +7,8 @@ import numpy as np
 DIRECTIONS = 16
 RINGS = (3.0, 10.0, 18.0, 28.0, 40.0)
 PER_DISTANCE, PER_WRONG_SIDE, PER_OBSTACLE, PER_OVERLAP = 0.25, 6.0, 2.0, 1.0
+PER_NEARER_OTHER = 1.0
+"""For each point by which a label stands nearer to what another names than to its own: it would be read as that one's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +43,8 @@ def place(labels: list[Label], obstacles: np.ndarray, frame: tuple[float, float,
         cost = PER_DISTANCE * distance + PER_WRONG_SIDE * ((centers - anchors) @ np.array(label.side) < 0.0)
         cost = cost + PER_OBSTACLE * _count_inside(boxes, obstacles)
         cost = cost + PER_OVERLAP * _overlap(boxes, taken) + 10.0 * _outside(boxes, frame)
+        others = np.vstack([other.anchors for other in labels if other is not label] or [np.zeros((0, 2))])
+        cost = cost + PER_NEARER_OTHER * np.maximum(_away(boxes, label.anchors) - _away(boxes, others), 0.0)
         best = int(np.argmin(cost))
         taken = np.vstack([taken, boxes[best]])
         places[i] = Place(centers[best], anchors[best])
@@ -62,6 +66,14 @@ def _candidates(label: Label) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _boxes(centers: np.ndarray, size: tuple[float, float]) -> np.ndarray:
     half = 0.5 * np.array(size)
     return np.hstack([centers - half, centers + half])
+
+
+def _away(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance of each box from the nearest of the points."""
+    if not len(points):
+        return np.full(len(boxes), np.inf)
+    outside = np.maximum(np.maximum(boxes[:, None, :2] - points[None], points[None] - boxes[:, None, 2:]), 0.0)
+    return np.hypot(outside[..., 0], outside[..., 1]).min(axis=1)
 
 
 def _count_inside(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
