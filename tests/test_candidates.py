@@ -13,10 +13,11 @@ from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import initial_state
 from diffeed.contact import candidates
 from diffeed.contact.bodies import bodies
-from diffeed.contact.candidates import Capacities, Watched, _most_urgent, _used_up, _watched, _ways, capacities
+from diffeed.contact.candidates import Capacities, _most_urgent, capacities
 from diffeed.contact.features import features
 from diffeed.contact.kept import keep_all
 from diffeed.contact.near import circles_near, guides_near
+from diffeed.contact.watched import Watched, used_up, watch, ways
 from diffeed.faults.causes import CAUSES, TOO_MANY_NEAR
 from diffeed.input.parts import normalise
 from diffeed.model.build import build
@@ -60,7 +61,7 @@ def seen(model, state):
         ("lines", guides_near(model, rows, world, kept._replace(arcs=None))),
         ("arcs", guides_near(model, rows, world, kept._replace(lines=None))),
     ):
-        found.append((_watched(model, at, world, near, kept, family), (near.gap < 0) & (near.weight > 0)))
+        found.append((watch(model, at, world, near, kept, family), (near.gap < 0) & (near.weight > 0)))
     return found
 
 
@@ -85,11 +86,11 @@ def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
         )
         (x0, y0), (x1, y1) = (nodes(model, pose(model, s)) for s in (state, after))
         way = (x1 - x0, y1 - y0)
-        motions = _ways(model, *(bodies(model, s, s.time, s.time) for s in (state, after))).values()
+        motions = ways(*(bodies(model, s, s.time, s.time) for s in (state, after))).values()
         for (before, touches), (_, touches_then), motion in zip(
             seen(model, state), seen(model, after), motions, strict=True
         ):
-            warned = np.asarray(_used_up(model, before, way, motion))
+            warned = np.asarray(used_up(model, before, way, motion))
             new = np.asarray(touches_then & ~touches)
             assert not np.any(new & ~warned)
             told, touched, quiet = told + warned.sum(), touched + new.sum(), quiet + (~warned).sum()

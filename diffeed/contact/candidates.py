@@ -7,7 +7,6 @@ arc that is nearly so), so a gap shrinks at most by what the sheet has come near
 up, that is told as data. Where the steps are not given, the next search is made before (`for_as_long_as_they_last`).
 """
 
-import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,8 +18,9 @@ from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, spins
 from diffeed.contact.features import features
 from diffeed.contact.kept import Kept, keep, keep_all
-from diffeed.contact.near import Closest, circles_near, guides_near, hulls_near
+from diffeed.contact.near import circles_near, guides_near
 from diffeed.contact.roller_pairs import roller_gaps
+from diffeed.contact.watched import Watched, approach, speeds, used_up, watch, ways
 from diffeed.model.arrays import Model, Path
 
 REACH = 0.5
@@ -79,22 +79,6 @@ AT_LEAST, PER_BAR = 32, 2
 looked at whole."""
 
 
-class Watched(NamedTuple):
-    """Pairs of a family as a search saw them, (bodies, features) each; a gap is infinite where the pair is listed."""
-
-    gap: Array  # mm
-    nx: Array
-    ny: Array
-    straight: (
-        Array  # bool: the normal leads away from the body; else (behind a thin guide) either way may lead towards it
-    )
-    body: Array  # (bodies, 1) which of its family it is
-    arm: (
-        tuple[Array, Array] | None
-    )  # mm from where a guide's motion is told to where the pair is nearest; None: circles
-    bend: Array | float  # 1/mm by which a gap closes as the square of the way along a hollow body
-
-
 class Candidates(NamedTuple):
     """Kept pairs, and what tells whether they were enough."""
 
@@ -131,7 +115,7 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
     index: dict[str, Array | None] = dict.fromkeys(("circles", "lines", "arcs"))
     lasts, watched, free, apart = never, (), never, never
     if size.listed:
-        index, lasts, watched, free = _list(model, at, world, span, pace, moved)
+        index, lasts, watched, free = _list(model, at, world, span, pace)
     if size.partners is not None:
         index["partners"], apart = _partners(model, world, size.partners)
         reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
@@ -140,14 +124,14 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
 
 
 def _list(
-    model: Model, at: Pose, world: Bodies, span: Array, pace: Array, moved: Array
+    model: Model, at: Pose, world: Bodies, span: Array, pace: Array
 ) -> tuple[dict[str, Array | None], Array, tuple[Watched, ...], Array]:
     """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
     x, y = nodes(model, at)
     velocity, fastest = node_velocities(model, at), _fastest_node(model, at) + pace
     close, size = _close_by(model, world, x, y), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
-    rows, motions = features(model, at), _speeds(model, world)
+    rows, motions = features(model, at), speeds(world)
     families = (
         lambda: circles_near(model, rows, world, looked_at),
         lambda: guides_near(model, rows, world, looked_at._replace(arcs=None)),
@@ -160,8 +144,8 @@ def _list(
         if not count:
             found.append(None)
             continue
-        seen = _watched(model, at, world, near(), looked_at, family)
-        closing = jnp.maximum(_approach(model, seen, velocity, motions[family]), 0.0)
+        seen = watch(model, at, world, near(), looked_at, family)
+        closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
         body, feature, seen, last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
         found.append(body if of is None else of.which[body])
         features_of.append(feature)
@@ -173,87 +157,6 @@ def _list(
     return index | {"feature": jnp.concatenate(features_of)}, jnp.min(jnp.stack(lasts)), tuple(watched), free
 
 
-class Moved(NamedTuple):
-    """What bodies of a family do, (bodies,): speeds, or ways. A guide turns about the place that stands for it."""
-
-    x: Array
-    y: Array
-    turn: Array | None  # None: circles, whose turning brings nothing nearer
-
-
-def _speeds(model: Model, world: Bodies) -> dict[str, Moved | None]:
-    """Of all families, mm/s and rad/s; None: they stand still."""
-    found: dict[str, Moved | None] = {"circles": Moved(world.circles.vx, world.circles.vy, None)}
-    for family in ("lines", "arcs"):
-        motion = None if world.guide_motion is None else getattr(world.guide_motion, family)
-        found[family] = None if motion is None else Moved(motion.vx, motion.vy, motion.w)
-    return found
-
-
-def _ways(model: Model, then: Bodies, now: Bodies) -> dict[str, Moved | None]:
-    """Of all families, mm and rad, from one time to another."""
-    circles = Moved(now.circles.x - then.circles.x, now.circles.y - then.circles.y, None)
-    found: dict[str, Moved | None] = {"circles": circles, "lines": None, "arcs": None}
-    if then.guide_motion is not None:
-        a, b, c, d = then.lines, now.lines, then.arcs, now.arcs
-        found["lines"] = Moved(b.x - a.x, b.y - a.y, a.tx * b.ty - a.ty * b.tx)
-        found["arcs"] = Moved(d.x - c.x, d.y - c.y, c.mid_x * d.mid_y - c.mid_y * d.mid_x)
-    return found
-
-
-def _watched(model: Model, at: Pose, world: Bodies, near: Closest, kept: Kept, family: str) -> Watched:
-    """The pairs of a family with the way that each has before it touches."""
-    index = {"circles": kept.circle_index, "lines": kept.line_index, "arcs": kept.arc_index}[family]
-    body = jnp.arange(near.gap.shape[0], dtype=jnp.int32)[:, None] if index is None else index
-    if family == "circles":
-        smooth = model.skin == "smooth"
-        gap, nx, ny = hulls_near(features(model, at), world, kept) if smooth else (near.gap, near.nx, near.ny)
-        gap = jnp.where(kept.active > 0, gap, jnp.inf)
-        return Watched(gap, nx, ny, jnp.ones(gap.shape, bool), body, None, 0.0)
-    guides, place = (kept.lines, world.lines) if family == "lines" else (kept.arcs, world.arcs)
-    assert guides is not None
-    # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-    felt = near.weight > 0
-    gap = near.gap - jnp.where(felt, 0.0, guides.faces.depth)
-    x, y = nodes(model, at)
-    arm = x[None, :] - near.nx * near.gap - place.x[body], y[None, :] - near.ny * near.gap - place.y[body]
-    # A way along the inside of an arc of radius R leads outwards by its square over 2 R, twice that from half as far out.
-    bend = 0.0 if kept.arcs is None or family == "lines" else jnp.maximum(kept.arcs.side, 0.0) / kept.arcs.radius
-    return Watched(gap, near.nx, near.ny, felt, body, arm, bend)
-
-
-def _approach(model: Model, seen: Watched, moved: tuple[Array, Array], bodies_moved: Moved | None) -> Array:
-    """By how much gaps shrink as nodes and bodies move, (bodies, features): by speeds (mm/s) or ways (mm).
-
-    What touches lies between some nodes, so it comes no nearer along a normal than the one that comes nearest.
-    """
-    x, y = moved[0][None, :], moved[1][None, :]
-    from_body = jnp.zeros(())
-    if bodies_moved is not None:
-        bx, by, turn = bodies_moved.x[seen.body], bodies_moved.y[seen.body], bodies_moved.turn
-        if turn is not None and seen.arm is not None:
-            bx, by = bx - turn[seen.body] * seen.arm[1], by + turn[seen.body] * seen.arm[0]
-        from_body = seen.nx * bx + seen.ny * by
-    ends = [(x, y)]
-    if model.skin == "smooth" or seen.arm is None:
-        ends.append((_behind(model, x), _behind(model, y)))  # a bar's rear node
-    if model.skin == "smooth":
-        ends.append((_in_front(model, x), _in_front(model, y)))
-    nearer = [from_body - (seen.nx * dx + seen.ny * dy) for dx, dy in ends]
-    either = functools.reduce(jnp.maximum, [jnp.abs(v) for v in nearer])
-    return jnp.where(seen.straight, functools.reduce(jnp.maximum, nearer), either)
-
-
-def _behind(model: Model, values: Array) -> Array:
-    """(1, features) of each feature's node -> of the node behind it in its sheet; a tail's own."""
-    return jnp.where(model.layout.tail[None, :], values, jnp.roll(values, -1, axis=1))
-
-
-def _in_front(model: Model, values: Array) -> Array:
-    """The same of the node in front; a lead's own."""
-    return jnp.where(model.layout.first_feature[None, :], values, jnp.roll(values, 1, axis=1))
-
-
 def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Array, Watched, Array]:
     """Bodies and features, (count,) each, of the pairs whose gaps are soonest used up; all others, and how long they last."""
     urgency, n_features = (seen.gap / reach).ravel(), seen.gap.shape[1]
@@ -262,7 +165,8 @@ def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Array,
         last = jnp.full((), jnp.inf, urgency.dtype)
         rest = seen._replace(gap=jnp.full_like(seen.gap, jnp.inf))
     else:
-        # Single precision finds the first of many in a tenth of the time; which of two about equal pairs it takes is the same.
+        # In single precision the compiler looks for the first few, in double it sorts all; which of two about equal ones is
+        # taken does not matter.
         chosen = lax.top_k(-urgency.astype(jnp.float32), count)[1]
         gap = seen.gap.ravel().at[chosen].set(jnp.inf)
         rest, last = seen._replace(gap=gap.reshape(seen.gap.shape)), jnp.min(urgency.at[chosen].set(jnp.inf))
@@ -360,19 +264,8 @@ def check_reach(model: Model, found: Candidates, after: State, at: Pose, world: 
     good = ~(furthest > found.free) & ~(2.0 * travel > found.apart)
     if not found.watched:
         return good
-    motions = _ways(model, found.world, world)
+    motions = ways(found.world, world)
     families = [name for name, count in zip(("circles", "lines", "arcs"), capacities(model)[:3], strict=True) if count]
     for family, seen in zip(families, found.watched, strict=True):
-        good &= ~jnp.any(_used_up(model, seen, way, motions[family]))
+        good &= ~jnp.any(used_up(model, seen, way, motions[family]))
     return good
-
-
-def _used_up(model: Model, seen: Watched, way: tuple[Array, Array], motion: Moved | None) -> Array:
-    """Whether pairs may have come to touch, (bodies, features): by the way along the normal, and by what that leaves out in
-    second order: a way along a hollow arc or a guide that turns, and the turn of a long arm."""
-    nearer, furthest = _approach(model, seen, way, motion), jnp.max(jnp.abs(way[0]) + jnp.abs(way[1]))
-    nearer = nearer + seen.bend * furthest**2
-    if motion is not None and motion.turn is not None and seen.arm is not None:
-        turn = jnp.abs(motion.turn)[seen.body]
-        nearer = nearer + turn * (furthest + 0.5 * turn * (jnp.abs(seen.arm[0]) + jnp.abs(seen.arm[1])))
-    return nearer > seen.gap
