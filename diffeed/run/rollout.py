@@ -31,7 +31,7 @@ from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
 BLOCK = 16
 """Most steps between two searches for candidates."""
 LONG_BLOCK = 8
-"""Length of a block from which a frame may get some steps more than asked for: few long ones stay as they are."""
+"""Length of a block beyond which a frame may get some steps more than asked for: few long ones stay as they are."""
 SEARCHED = 4e-3
 """s: with long steps the searches stay this close in time: further on, what moves now says little."""
 MANY = 40_000
@@ -60,7 +60,7 @@ def plan(duration: float, dt: float, frames: int) -> Plan:
 
 def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
     """So many steps per frame, in equal blocks of at most `most`; of many steps a few more, if that makes the blocks longer."""
-    least = most // 2 if most >= LONG_BLOCK else 1
+    least = most // 2 if most > LONG_BLOCK else 1
     whole = [k for k in range(most, least - 1, -1) if per_frame % k == 0]
     blocks = per_frame // whole[0] if whole else math.ceil(per_frame / most)
     return Plan(frames, blocks, math.ceil(per_frame / blocks))
