@@ -15,7 +15,7 @@ RANKS = """
     base: words names record_html records files folders terminal toml_text limits batching smooth once
     tuning plot_style
     pair: shapes skin law
-    input: parts packing check_values check_joints check_rules check_records remarks paths scene_file stacking
+    input: parts packing check_values check_rules check_records remarks paths scene_file stacking
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
     chain: state system sums kinematics dense elimination solve
@@ -25,7 +25,7 @@ RANKS = """
     steppers: advance linear_euler extrapolated_euler runge_kutta midpoint
     readings: trajectory snapshot spans observe frames margin verdict agreement
     statics: coordinates relax rest vibrations
-    run: progress error_control rollout examine pieces
+    run: progress error_control rollout joints examine pieces
     measures
     show: labels outlines player_data plot_machine
     plot player

@@ -6,7 +6,6 @@ import pytest
 import diffeed
 from diffeed import ArcGuide, FixedRoller, LineGuide, MovableRoller, Profile, Scene, Sheet
 from diffeed.base.records import replace
-from diffeed.input.check_records import check_records
 
 NOTE = Sheet(length=72.0, thickness=0.1, width=140.0, density=9e-7, youngs_modulus=3000.0, bars=24)
 FLOOR = LineGuide(start=(-20.0, 0.0), end=(0.0, 0.0))
@@ -14,27 +13,28 @@ TURN = ArcGuide(center=(0.0, 15.0), radius=15.0, start_angle=-90.0, sweep=40.0)
 
 
 def guided(**guides):
-    return Scene(sheets={"note": NOTE}, guides=guides, initial="given")
+    above = replace(NOTE, lead=(0.0, 60.0))
+    return Scene(sheets={"note": above}, guides=guides, contacts={"default": diffeed.Contact()}, initial="given")
 
 
 @pytest.mark.parametrize("backwards", [False, True])
 def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
     """However the arc is swept. The middle of a wedge and ends that do not meet are not judged."""
     turn = replace(TURN, start_angle=-50.0, sweep=-40.0) if backwards else TURN
-    assert check_records(guided(floor=FLOOR, turn=turn)) == []
-    (said,) = check_records(guided(floor=FLOOR, turn=replace(turn, side="outside")))
+    assert diffeed.check(guided(floor=FLOOR, turn=turn)) == []
+    (said,) = diffeed.check(guided(floor=FLOOR, turn=replace(turn, side="outside")))
     assert said.startswith(
         "guides.floor and guides.turn go on in each other at [0.0, 0.0] but bear on opposite sides: turn one"
     )
-    (said,) = check_records(guided(floor=replace(FLOOR, start=(0.0, 0.0), end=(-20.0, 0.0)), turn=turn))
+    (said,) = diffeed.check(guided(floor=replace(FLOOR, start=(0.0, 0.0), end=(-20.0, 0.0)), turn=turn))
     assert "opposite sides" in said
     apart = replace(turn, center=(0.0, 15.1), side="outside")
-    assert check_records(guided(floor=FLOOR, turn=apart)) == []
+    assert diffeed.check(guided(floor=FLOOR, turn=apart)) == []
     wedge = {
         "above": LineGuide(start=(0.0, 0.0), end=(20.0, 3.0)),
         "below": LineGuide(start=(20.0, -3.0), end=(0.0, 0.0)),
     }
-    assert check_records(guided(**wedge)) == []
+    assert diffeed.check(guided(**wedge)) == []
 
 
 @pytest.mark.parametrize(

@@ -113,9 +113,8 @@ def _factored(matrix: Array, sides: Array) -> tuple[Array, Array]:
     n, k = sides.shape
     large = 0.25 * jnp.finfo(matrix.dtype).max * np.eye(k)
     below = jnp.concatenate([sides.T, jnp.asarray(large, matrix.dtype)], axis=1)
-    root = lax.linalg.cholesky(
-        jnp.concatenate([jnp.pad(matrix, ((0, 0), (0, k))), below]), symmetrize_input=False
-    )  # fmt: skip
+    whole = jnp.concatenate([jnp.pad(matrix, ((0, 0), (0, k))), below])
+    root = lax.linalg.cholesky(whole, symmetrize_input=False)
     root, half = root[:n, :n], root[n:, :n].T
     return root, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 

@@ -8,6 +8,7 @@ from diffeed.base.files import plain
 from diffeed.base.records import fields
 from diffeed.base.terminal import plain_table
 from diffeed.input.parts import Scene
+from diffeed.readings.observe import NIP_WORDS, nip_unit
 from diffeed.readings.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -17,14 +18,7 @@ if TYPE_CHECKING:
 OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
 """What must be observed for a report."""
 COLORS = {"passed": "bold green", "late": "bold yellow"}
-COMPARED = {
-    "contact_time": "contact (s)",
-    "slip_mean": "slip mean (mm/s)",
-    "slip_rms": "slip RMS (mm/s)",
-    "force_mean": "normal mean (N)",
-    "force_peak": "normal peak (N)",
-    "torque_mean": "torque mean (N mm)",
-}
+COMPARED = {field: f"{words} ({nip_unit(field)})" for field, words in NIP_WORDS.items()}
 """Of each roller, before and after."""
 FLAT = 1e-7
 """1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""

@@ -40,7 +40,8 @@ SIDES = 2
 MANY_CIRCLES = 32
 """Circles that a few long bars may touch, each with one of them."""
 WORTH = 0.75
-"""Of all pairs: a longer list is not worth the gathering."""
+"""Of all pairs: a longer list would hardly be worth the gathering (estimated)."""
+FAMILIES = ("circles", "lines", "arcs")
 
 
 PAIRS = 4
@@ -84,7 +85,7 @@ class Candidates(NamedTuple):
 
     kept: Kept
     lasts: Array  # of the time that was asked for: how long no other pair can come to touch; 1 or more: all of it
-    watched: tuple[Watched, ...]
+    watched: dict[str, Watched]  # by family
     free: Array  # mm: no body that was not looked at is nearer
     apart: Array  # mm: no roller that was left out is nearer to a movable one
     at: Pose  # at the search
@@ -111,9 +112,9 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
     size, pace, moved = capacities(model), _fastest_surface(model, state, span), span * _fastest_guide(model)
     never = jnp.full((), jnp.inf, state.x.dtype)
     if not model.has_bodies or not size.any:
-        return None, (never, (), never, never, at, world, state.travel, pace, moved)
-    index: dict[str, Array | None] = dict.fromkeys(("circles", "lines", "arcs"))
-    lasts, watched, free, apart = never, (), never, never
+        return None, (never, {}, never, never, at, world, state.travel, pace, moved)
+    index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
+    lasts, watched, free, apart = never, {}, never, never
     if size.listed:
         index, lasts, watched, free = _list(model, at, world, span, pace)
     if size.partners is not None:
@@ -125,7 +126,7 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
 
 def _list(
     model: Model, at: Pose, world: Bodies, span: Array, pace: Array
-) -> tuple[dict[str, Array | None], Array, tuple[Watched, ...], Array]:
+) -> tuple[dict[str, Array | None], Array, dict[str, Watched], Array]:
     """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
     x, y = nodes(model, at)
     velocity, fastest = node_velocities(model, at), _fastest_node(model, at) + pace
@@ -138,23 +139,21 @@ def _list(
         lambda: guides_near(model, rows, world, looked_at._replace(lines=None)),
     )
     unasked = REACH + TURNING * span * fastest
-    found, watched, features_of, lasts = [], [], [], []
-    free = jnp.full((), jnp.inf, x.dtype)
-    for near, family, count, of in zip(families, ("circles", "lines", "arcs"), size[:3], close, strict=True):
+    index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
+    watched, feature_of = {}, []
+    lasts = free = jnp.full((), jnp.inf, x.dtype)
+    for near, family, count, of in zip(families, FAMILIES, size[:3], close, strict=True):
         if not count:
-            found.append(None)
             continue
         seen = watch(model, at, world, near(), looked_at, family)
         closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
-        body, feature, seen, last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
-        found.append(body if of is None else of.which[body])
-        features_of.append(feature)
-        watched.append(seen)
-        lasts.append(last)
+        body, feature, watched[family], last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
+        index[family] = body if of is None else of.which[body]
+        feature_of.append(feature)
+        lasts = jnp.minimum(lasts, last)
         free = free if of is None else jnp.minimum(free, of.free)
-    lasts.append(free / (REACH + MARGIN * span * fastest))
-    index = dict(zip(("circles", "lines", "arcs"), found, strict=True))
-    return index | {"feature": jnp.concatenate(features_of)}, jnp.min(jnp.stack(lasts)), tuple(watched), free
+    lasts = jnp.minimum(lasts, free / (REACH + MARGIN * span * fastest))
+    return index | {"feature": jnp.concatenate(feature_of)}, lasts, watched, free
 
 
 def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Array, Watched, Array]:
@@ -186,7 +185,7 @@ def _partners(model: Model, world: Bodies, count: int) -> tuple[Array, Array]:
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
     """Candidates for the part of `span` in which no further pair can come to touch, and that time (s)."""
     share = jnp.clip(found.lasts, 0.0, 1.0)
-    return found._replace(lasts=jnp.where(share > 0, jnp.maximum(found.lasts, 1.0), found.lasts)), span * share
+    return found._replace(lasts=found.lasts / share), span * share
 
 
 class Close(NamedTuple):
@@ -265,7 +264,6 @@ def check_reach(model: Model, found: Candidates, after: State, at: Pose, world: 
     if not found.watched:
         return good
     motions = ways(found.world, world)
-    families = [name for name, count in zip(("circles", "lines", "arcs"), capacities(model)[:3], strict=True) if count]
-    for family, seen in zip(families, found.watched, strict=True):
+    for family, seen in found.watched.items():
         good &= ~jnp.any(used_up(model, seen, way, motions[family]))
     return good

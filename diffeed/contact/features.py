@@ -39,9 +39,8 @@ class Features(NamedTuple):
     vx: Array
     vy: Array
     w: Array
-    ahead: tuple[
-        Array, ...
-    ]  # axis (cos, sin) of the bar in front; of no meaning at the first, nothing on the smooth skin
+    # Axis (cos, sin) of the bar in front; of no meaning at the first, and empty on the smooth skin.
+    ahead: tuple[Array, ...]
     behind: tuple[Array, ...]  # and of the bar behind; of no meaning at the last and at tails
     own: Own
 

@@ -9,7 +9,7 @@ from jax import Array
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.kept import Kept
 from diffeed.model.arrays import Model
-from diffeed.pair.law import Asked, Surface, Touch, contact_law
+from diffeed.pair.law import Surface, Touch, contact_law
 from diffeed.pair.shapes import Near, point_circle
 
 
@@ -42,31 +42,10 @@ def _joined(i: Any, j: Any) -> Any:
 
 def roller_contacts(model: Model, world: Bodies, kept: Kept) -> RollerPairs:
     """Rollers against each other: a pinch rests on its drive when no sheet is there. Their friction is regularised."""
-    met = met_by_rollers(model, world, kept)
-    return met.touched(contact_law(*met.asked))
-
-
-class MetRollers(NamedTuple):
-    """Pairs of rollers before the law is asked."""
-
-    between: tuple[Any, Any]
-    nx: Array
-    ny: Array
-    asked: Asked
-
-    def touched(self, touch: Touch) -> RollerPairs:
-        """With what the law says."""
-        asked = self.asked
-        gap = -asked.penetration
-        return RollerPairs(self.between, asked.surface, touch, gap, self.nx, self.ny, asked.v_n, asked.v_t)
-
-
-def met_by_rollers(model: Model, world: Bodies, kept: Kept) -> MetRollers:
-    """Where rollers are nearest to each other, and how fast they come together and slide."""
     (i, j), radius = kept.pair_index, model.rollers.radius
     a, b, near, gap = roller_gaps(model, world, kept.pair_index)
     dvx, dvy = a.vx - b.vx, a.vy - b.vy
     v_n = near.nx * dvx + near.ny * dvy
     v_t = near.nx * dvy - near.ny * dvx - a.w * radius[i] - b.w * radius[j]
-    asked = Asked(kept.pair_surface, -gap, v_n, v_t, jnp.ones_like(gap))
-    return MetRollers(kept.pair_index, near.nx, near.ny, asked)
+    touch = contact_law(kept.pair_surface, -gap, v_n, v_t, 1.0)
+    return RollerPairs(kept.pair_index, kept.pair_surface, touch, gap, near.nx, near.ny, v_n, v_t)

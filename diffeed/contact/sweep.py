@@ -15,9 +15,9 @@ from diffeed.chain.kinematics import Pose
 from diffeed.contact.bodies import Bodies
 from diffeed.contact.features import Lever, blend, features
 from diffeed.contact.kept import Kept
-from diffeed.contact.near import Closest, nearest
+from diffeed.contact.near import nearest
 from diffeed.model.arrays import Model
-from diffeed.pair.law import Asked, Grip, Touch, contact_law
+from diffeed.pair.law import Grip, Touch, contact_law
 
 
 class Pairs(NamedTuple):
@@ -41,30 +41,6 @@ class Pairs(NamedTuple):
 
 def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip | None = None) -> Pairs:
     """The kept pairs. Without a `grip`, friction is regularised everywhere."""
-    met = met_by_sheets(model, at, world, kept)
-    return met.touched(contact_law(*met.asked, grip))
-
-
-class Met(NamedTuple):
-    """Pairs before the law is asked."""
-
-    near: Closest
-    levers: tuple[Lever, ...]
-    asked: Asked
-
-    def touched(self, raw: Touch) -> Pairs:
-        """With what the law says."""
-        near, asked = self.near, self.asked
-        touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw))
-        # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
-        # with the headings of its two bars by their shares.
-        turning = touch.force * near.lever
-        moving = (asked.v_n, asked.v_t, near.u_n, near.u_t)
-        return Pairs(touch, near.gap, near.nx, near.ny, self.levers, *moving, near.weight, turning)
-
-
-def met_by_sheets(model: Model, at: Pose, world: Bodies, kept: Kept) -> Met:
-    """Where the kept pairs are nearest, and how fast they come together and slide."""
     rows = features(model, at, kept.pairs)
     near, half_thickness = nearest(model, rows, world, kept), rows[-1].own.half_thickness
     near = derived_once(near)
@@ -76,7 +52,13 @@ def met_by_sheets(model: Model, at: Pose, world: Bodies, kept: Kept) -> Met:
         away.append(near.nx * row.vx + near.ny * row.vy + row.w * rn)
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
-    return Met(near, tuple(levers), Asked(kept.surface, -near.gap, v_n, v_t, rows[-1].own.friction_factor))
+    raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].own.friction_factor, grip)
+    touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw))
+    # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
+    # with the headings of its two bars by their shares.
+    turning = touch.force * near.lever
+    moving = (v_n, v_t, near.u_n, near.u_t)
+    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
 
 
 def heading(model: Model, at: Pose, pairs: Pairs) -> tuple[Array, Array]:

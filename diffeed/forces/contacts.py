@@ -12,11 +12,10 @@ from diffeed.contact import stick
 from diffeed.contact.bodies import Bodies
 from diffeed.contact.features import Lever, by_feature, shared, to_bars
 from diffeed.contact.kept import Kept
-from diffeed.contact.roller_pairs import RollerPairs, met_by_rollers, roller_contacts
-from diffeed.contact.sweep import Pairs, met_by_sheets, sheet_contacts
+from diffeed.contact.roller_pairs import RollerPairs, roller_contacts
+from diffeed.contact.sweep import Pairs, sheet_contacts
 from diffeed.forces.terms import Step, bar_terms
 from diffeed.model.arrays import Model
-from diffeed.pair.law import contact_laws, same_law
 
 
 class Contacts(NamedTuple):
@@ -39,20 +38,11 @@ def contacts(
     """Sweep the kept bodies. `grip` are the state's deflections; sticking friction is that of `ahead` seconds later, by the
     normal forces `pressed` if given."""
     held = stick.of_pairs(model, grip, kept, ahead, pressed)
-    if model.pairs and held is None and kept.pairs is not None and _alike(kept):
-        sheets, rollers = met_by_sheets(model, at, world, kept), met_by_rollers(model, world, kept)
-        on_sheets, on_rollers = contact_laws(sheets.asked, rollers.asked)
-        return Contacts(sheets.touched(on_sheets), rollers.touched(on_rollers), at)
     return Contacts(
         sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
         rollers=roller_contacts(model, world, kept) if model.pairs else None,
         at=at,
     )
-
-
-def _alike(kept: Kept) -> bool:
-    """Whether listed pairs of sheets and of rollers can stand in one row."""
-    return kept.pair_surface.stiffness.ndim == 1 and same_law(kept.surface, kept.pair_surface)
 
 
 class Felt(NamedTuple):

@@ -11,7 +11,6 @@ import numpy as np
 from diffeed.base.limits import MAX_BARS, MAX_PAIRS, MAX_PARTS, MAX_POINTS, rest_problem
 from diffeed.base.names import hint
 from diffeed.base.records import fields
-from diffeed.input.check_joints import opposed_joints
 from diffeed.input.check_values import measure, show, sound
 from diffeed.input.parts import (
     SECTIONS,
@@ -197,7 +196,7 @@ def _not_too_many(path: str, series: Any, _: Scene) -> Iterator[str]:
 
 _SERIES: tuple[Rule, ...] = (_increasing, _equal_lengths, _not_too_many)
 RULES: dict[type, tuple[Rule, ...]] = {
-    Scene: (_some_sheet, _duration, _goal, opposed_joints),
+    Scene: (_some_sheet, _duration, _goal),
     Sheet: (_bar_count, _bar_length),
     FixedRoller: (_two_speeds, _contact_set),
     MovableRoller: (_two_speeds, _direction, _stops, _contact_set),

@@ -1,10 +1,11 @@
 """What is sound in itself but hardly meant: a number in another unit, a pinch that opens its nip. Said, never refused."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from diffeed.input.check_rules import Rule
 from diffeed.input.check_values import sound
 from diffeed.input.parts import ArcGuide, FixedRoller, MovableRoller, Profile, Scene, Sheet
 
@@ -20,10 +21,10 @@ GRAVITY = (9.0, 10.5)
 """m/s2, given as mm/s2."""
 NIP = 3.0
 """mm between two rollers that may be meant as a nip."""
+STUB = 3.0
+"""mm of an arc: hardly a guide."""
 BEYOND_USE = 100.0
 """Times the way through the machine that is fed in a run."""
-
-Rule = Callable[[str, Any, Scene], Iterator[str]]
 
 
 def remarks(scene: Scene) -> list[str]:
@@ -34,9 +35,8 @@ def remarks(scene: Scene) -> list[str]:
     found = list(_of_scene(scene))
     for section in ("sheets", "rollers", "guides"):
         for name, part in sorted(getattr(scene, section).items()):
-            for kind, rule in _RULES:
-                if isinstance(part, kind):
-                    found += rule(f"{section}.{name}", part, scene)
+            for rule in _RULES.get(type(part), ()):
+                found += rule(f"{section}.{name}", part, scene)
     return found
 
 
@@ -50,9 +50,9 @@ def _of_scene(scene: Scene) -> Iterator[str]:
     if gravity is not None and GRAVITY[0] < float(np.hypot(*gravity)) < GRAVITY[1]:
         yield f"gravity is {np.hypot(*gravity):g} mm/s2: in m/s2? That of the earth is 9810 mm/s2"
     duration, fastest = scene.duration, max((_fastest(r) or 0.0 for r in scene.rollers.values()), default=0.0)
-    ways = [np.ptp(np.array(points), axis=0).sum() for points in [_places(scene)] if len(points) > 1]
-    ways += [_number(s, "length") or 0.0 for s in scene.sheets.values()]
-    if duration and sum(ways) and duration * fastest > BEYOND_USE * sum(ways):
+    places, lengths = _places(scene), [_number(s, "length") or 0.0 for s in scene.sheets.values()]
+    way = sum(lengths) + (float(np.ptp(np.array(places), axis=0).sum()) if places else 0.0)
+    if duration * fastest > BEYOND_USE * way > 0:
         yield (
             f"duration is {duration:g} s, in which the drives feed {duration * fastest:.3g} mm: many times the way through the"
             " machine"
@@ -79,21 +79,15 @@ def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
 
 def _arc(path: str, guide: ArcGuide, _: Scene) -> Iterator[str]:
     sweep, radius = _number(guide, "sweep"), _number(guide, "radius")
-    if sweep and radius and abs(sweep) <= 2.0 * np.pi and radius * np.deg2rad(abs(sweep)) < NIP:
+    if sweep and radius and abs(sweep) <= 2.0 * np.pi and radius * np.deg2rad(abs(sweep)) < STUB:
         yield f"{path}.sweep is {sweep:g} degrees: in radians? A quarter turn is 90"
 
 
 def _fastest(roller: Any) -> float | None:
     """mm/s of its surface, None if it idles or that is not known."""
     for field, lever in (("surface_speed", 1.0), ("angular_speed", _number(roller, "radius"))):
-        speed = getattr(roller, field, None)
-        values = (
-            sound(speed, "values")
-            if isinstance(speed, Profile)
-            else sound(roller, field)
-            if speed is not None
-            else None
-        )
+        speed = getattr(roller, field)
+        values = sound(speed, "values") if isinstance(speed, Profile) else sound(roller, field)
         if values is not None and lever:
             return float(np.max(np.abs(values)) * lever)
     return None
@@ -122,10 +116,9 @@ def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
             )
 
 
-_RULES: tuple[tuple[type, Rule], ...] = (
-    (Sheet, _sheet),
-    (ArcGuide, _arc),
-    (FixedRoller, _drive),
-    (MovableRoller, _drive),
-    (MovableRoller, _pinch),
-)
+_RULES: dict[type, tuple[Rule, ...]] = {
+    Sheet: (_sheet,),
+    ArcGuide: (_arc,),
+    FixedRoller: (_drive,),
+    MovableRoller: (_drive, _pinch),
+}

@@ -6,13 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.input.check_joints import JOIN_TOLERANCE
 from diffeed.input.packing import stacked
 from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, Motion
 from diffeed.model.arrays import Arcs, Circles, Lines, Path, Rollers
 from diffeed.model.movements import path_of
 from diffeed.model.rows import columns
 from diffeed.pair.shapes import Face
+
+JOIN_TOLERANCE = 1e-3
+"""mm: guide ends closer than this are one end."""
 
 
 def lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, ArcGuide]]) -> tuple[Lines, Arcs]:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.records import record, replace, word
+from diffeed.base.records import record, word
 from diffeed.base.smooth import power, powers, ramp
 
 SLIDES = 1.5
@@ -105,33 +105,6 @@ def contact_law(
         friction=jnp.where(surface.stick, limit * held, touch.friction),
         secant=jnp.where(surface.stick, limit * held_secant, secant),
     )
-
-
-class Asked(NamedTuple):
-    """What the law is asked of some pairs, without a grip."""
-
-    surface: Surface
-    penetration: Array
-    v_n: Array
-    v_t: Array
-    friction_factor: Array
-
-
-def contact_laws(first: Asked, second: Asked) -> tuple[Touch, Touch]:
-    """The law for two rows of pairs, (pairs,) each, of which either none or all know damping, friction and so on: at once, for
-    each call costs as much for few pairs as for many."""
-    count = first.penetration.shape[0]
-    surfaces = [replace(asked.surface, names=()) for asked in (first, second)]
-    asked = (first._replace(surface=surfaces[0]), second._replace(surface=surfaces[1]))
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), *asked)
-    touch = contact_law(*both)
-    return jax.tree.map(lambda v: v[:count], touch), jax.tree.map(lambda v: v[count:], touch)
-
-
-def same_law(first: Surface, second: Surface) -> bool:
-    """Whether two sets of surfaces know the same of damping, friction and so on."""
-    plain = [replace(surface, names=()) for surface in (first, second)]
-    return jax.tree.structure(plain[0]) == jax.tree.structure(plain[1])
 
 
 def friction_secant(surface: Surface, v_t: Array) -> Array:

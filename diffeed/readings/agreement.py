@@ -12,6 +12,7 @@ import numpy as np
 from diffeed.base.limits import MAX_STEPS
 from diffeed.faults.causes import SHORTER
 from diffeed.input.parts import Scene
+from diffeed.readings.observe import NIP_WORDS, nip_unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.readings.verdict import judged
 
@@ -21,15 +22,11 @@ TOLD, SHARE = 3.0, 0.02
 """Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
 larger."""
 APART, SMALL = 0.2, 0.05
-"""Of a roller's own value and of the largest of all rollers: what differs by more than both is not confirmed."""
+"""Of a roller's own value and of the largest of all rollers: what differs by more than both is not confirmed. Less than a fifth
+moves few decisions, and what is small beside the others' counts for little."""
 MOST = 5
 """Differences that are told."""
-OF_ROLLERS = {
-    "slip_rms": ("slip RMS", "mm/s"),
-    "force_mean": ("mean normal force", "N"),
-    "force_peak": ("peak normal force", "N"),
-    "torque_mean": ("mean torque", "N mm"),
-}
+OF_ROLLERS = ("slip_rms", "force_mean", "force_peak", "torque_mean")
 """What of a roller is held against the finer run, where both observed `nips`."""
 
 
@@ -113,9 +110,9 @@ def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:
     if "nips" not in run.observed or "nips" not in again.observed:
         return
     mine, other = run.observed["nips"], again.observed["nips"]
-    for field, (meaning, unit) in OF_ROLLERS.items():
+    for field in OF_ROLLERS:
         values = {name: [float(getattr(nips[name], field)) for nips in (mine, other)] for name in mine}
         largest = max((abs(v) for pair in values.values() for v in pair if np.isfinite(v)), default=0.0)
         for name, (here, there) in values.items():
             if abs(here - there) > max(APART * max(abs(here), abs(there)), SMALL * largest):
-                yield f"{meaning} of {name}, {here:.3g} {unit} here and {there:.3g} there"
+                yield f"{NIP_WORDS[field]} of {name}, {here:.3g} {nip_unit(field)} here and {there:.3g} there"

@@ -80,6 +80,22 @@ class NipStats:
     torque_peak: Any = number(unit="N mm", doc="largest magnitude of that torque")
 
 
+NIP_WORDS = {
+    "contact_time": "contact",
+    "slip_mean": "slip mean",
+    "slip_rms": "slip RMS",
+    "force_mean": "normal mean",
+    "force_peak": "normal peak",
+    "torque_mean": "torque mean",
+}
+"""Short names of what is reported of a nip."""
+
+
+def nip_unit(field: str) -> str:
+    """The unit of a field of `NipStats`."""
+    return NipStats.__dataclass_fields__[field].metadata["unit"]  # type: ignore[attr-defined]
+
+
 def _nips_start(model: Model, scene: Scene, state: State) -> NipSums:
     zero = jnp.zeros((model.rollers.n,))
     return NipSums(**{name: zero for name in NipSums.__dataclass_fields__})  # type: ignore[attr-defined]

@@ -22,6 +22,7 @@ from diffeed.model.arrays import Model
 from diffeed.model.build import build
 from diffeed.pair.law import BRISTLE_LAG
 from diffeed.readings.snapshot import look
+from diffeed.run.joints import IN_FRONT, opposed
 from diffeed.run.rollout import STEP
 from diffeed.statics.rest import settle_model
 from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS, midpoint, runge_kutta
@@ -58,10 +59,11 @@ def check(
         if problem := run_problem(float(scene.duration), longest, frames, scene_size(scene)):
             return [problem]
     model, before, state, found, now, wrong = prepare(scene)
-    problems = _deep(model, before, "starts", allowed=0.5 if scene.initial == "settled" else 0.0)
-    problems += [f"{part}: a bar lies across it at the start; {IN_FRONT}" for part in _guides(model, wrong.across)]
+    problems = [*opposed(scene), *_deep(model, before, "starts", allowed=0.5 if scene.initial == "settled" else 0.0)]
+    in_front = f"sheets must start in front of guides ({IN_FRONT})"
+    problems += [f"{part}: a bar lies across it at the start; {in_front}" for part in _guides(model, wrong.across)]
     problems += [
-        f"{part}: a bar lies behind its face at the start; {IN_FRONT}" for part in _guides(model, wrong.behind)
+        f"{part}: a bar lies behind its face at the start; {in_front}" for part in _guides(model, wrong.behind)
     ]
     if scene.initial == "settled" and not problems:
         if not found:
@@ -74,9 +76,6 @@ def check(
     if (dt is not None or frames is not None) and method in EXPLICIT and not problems:  # a run is meant
         problems += _too_fast(model, state, STEP if dt is None else dt, method)
     return problems
-
-
-IN_FRONT = "sheets must start in front of guides (a line guide bears on the left of start to end, an arc on its `side`)"
 
 
 def _guides(model: Model, chosen: Array) -> list[str]:

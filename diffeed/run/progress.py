@@ -134,14 +134,14 @@ def _misplaced(model: Model, at: Pose, world: Bodies) -> Array:
 def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
     """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
     guide or behind one, or if energy came from nowhere: then the run stands where its energy was last good."""
-    model_, state, found = lax.stop_gradient((model, carry.state, found))  # judging has no derivative
-    at, world = pose(model_, state), bodies(model_, state, state.time, state.time)
-    near_enough = check_reach(model_, found, state, at, world)
+    judged, reached, found = lax.stop_gradient((model, carry.state, found))  # judging has no derivative
+    at, world = pose(judged, reached), bodies(judged, reached, reached.time, reached.time)
+    near_enough = check_reach(judged, found, reached, at, world)
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
-    cause = jnp.where(near_enough, _misplaced(model_, at, world), unseen)
+    cause = jnp.where(near_enough, _misplaced(judged, at, world), unseen)
     book, state = carry.book, carry.state
     if balance.is_kept(model):
-        book, gained = balance.judged(model_, *lax.stop_gradient((book, state)), at, found.pace)
+        book, gained = balance.judged(judged, lax.stop_gradient(book), reached, at, found.pace)
         gained &= (carry.cause == 0) & (cause == 0)
         cause = jnp.where(gained, FROM_NOWHERE, cause)
         state = jax.tree.map(lambda a, b: jnp.where(gained, a, b), begun.state, state)

@@ -33,7 +33,8 @@ BLOCK = 16
 LONG_BLOCK = 8
 """Length of a block beyond which a frame may get some steps more than asked for: few long ones stay as they are."""
 SEARCHED = 4e-3
-"""s: with long steps the searches stay this close in time: further on, what moves now says little."""
+"""s: with long steps the searches stay this close in time, lest what moves now says little of what will. The shipped scenes end
+alike with 2, 4 and 8 ms."""
 MANY = 40_000
 """Steps up to which reverse mode stores the state of every step; beyond, one per block, and computes each step once more."""
 STEP, LONGEST, MOST_STEPS = 1e-4, 2e-3, 20_000

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from diffeed.input.check_joints import JOIN_TOLERANCE
 from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, MovableRoller, Profile, Scene, Sheet
+from diffeed.model.guides import JOIN_TOLERANCE
 
 POINTS_PER_TURN = 180
 TICK_SPACING = 4.0  # mm between the ticks behind a bearing face
