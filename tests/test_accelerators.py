@@ -26,9 +26,9 @@ def chosen_steps(scene):
 @pytest.mark.parametrize("platform", ["cuda", "rocm", "tpu"])
 @pytest.mark.parametrize("function", [run, slope, chosen_steps])
 def test_programs_are_lowered_for_accelerators(function, platform):
-    """Alone and in a batch; `export` refuses what a platform has no rule for."""
+    """Alone and in a batch: `export` refuses what a platform has no rule for, and nothing calls what the processor alone has."""
     for many in (False, True):
         scene = diffeed.stack([nip(), nip()]) if many else nip()
         made = export.export(jax.jit(jax.vmap(function) if many else function), platforms=(platform,))(scene)
-        assert made.platforms == (platform,)
-        assert len(made.mlir_module_serialized) > 10_000
+        assert "lapack" not in made.mlir_module()
+    assert "lapack" in export.export(jax.jit(function), platforms=("cpu",))(nip()).mlir_module(), "or this says nothing"

@@ -66,15 +66,22 @@ def seen(model, state):
 
 
 @pytest.mark.parametrize("skin", ["bars", "smooth"])
-@pytest.mark.parametrize("seed", range(12))
-def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
-    """A sheet carried and bent at random among moving lines, arcs and circles: whatever touches then had come near enough along
+def test_no_pair_touches_unless_its_normal_says_so(skin):
+    """Sheets carried and bent at random among moving lines, arcs and circles: whatever touches then had come near enough along
     the normal of before."""
+    missed, touched, warned, pairs = np.sum([_counted(skin, seed) for seed in range(12)], axis=0)
+    assert missed == 0
+    assert touched > 50, "or nothing could have been missed"
+    assert warned < 0.5 * pairs, "a warning that is always given says nothing"
+
+
+def _counted(skin, seed):
+    """Pairs that touch anew without a warning, that touch anew, that were warned of, and all."""
     scene = normalise(replace(draw("guided", seed), skin=skin))
     model, rng = build(scene), np.random.default_rng(seed)
     start = initial_state(model, scene)
     n = model.layout.n_bars
-    told = touched = quiet = 0
+    counts = np.zeros(4, int)
     for size in (0.3, 3.0, 10.0):
         state = replace(start, y=start.y + 2.0, heading=start.heading + 0.2 * rng.normal(size=n))
         after = replace(
@@ -92,10 +99,8 @@ def test_no_pair_touches_unless_its_normal_says_so(skin, seed):
         ):
             warned = np.asarray(used_up(model, before, way, motion))
             new = np.asarray(touches_then & ~touches)
-            assert not np.any(new & ~warned)
-            told, touched, quiet = told + warned.sum(), touched + new.sum(), quiet + (~warned).sum()
-    assert quiet > 100, "a warning that is always given says nothing"
-    assert touched > 0 or told > 0
+            counts += [np.sum(new & ~warned), new.sum(), warned.sum(), warned.size]
+    return counts
 
 
 def pressed() -> diffeed.Scene:
@@ -111,14 +116,20 @@ def pressed() -> diffeed.Scene:
     )
 
 
+@pytest.fixture
+def forgotten():
+    """Programs know nothing of what a test changes: none from before is used, and none is left."""
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
 @pytest.mark.parametrize("tolerance", [None, 1e-2])
-def test_a_list_that_was_too_short_is_told(tolerance, monkeypatch):
+def test_a_list_that_was_too_short_is_told(tolerance, monkeypatch, forgotten):
     scene = normalise(pressed())
     assert not capacities(build(scene)).listed, "so few are kept whole"
     monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(4, 0, 0))
-    jax.clear_caches()  # programs know nothing of the change
     run = diffeed.simulate(scene, duration=2e-4, dt=1e-5, frames=2, tolerance=tolerance, most_steps=100)
-    jax.clear_caches()
     assert not bool(run.ok)
     assert int(run.failure.cause) == TOO_MANY_NEAR, CAUSES[int(run.failure.cause)]
 

@@ -555,6 +555,15 @@ def test_a_report_with_long_names_fits_the_terminal(width):
     assert "never" in text.getvalue()
 
 
+def test_what_is_hardly_meant_is_said_and_what_is_not_there_is_guessed():
+    done = invoke("check", "film_feeder", "--set", "sheets.film.youngs_modulus=3e9")
+    assert "note: sheets.film.youngs_modulus is 3e+09 N/mm2: in Pa?" in done.output
+    again = invoke("check", "film_feder")
+    assert again.exit_code == 2
+    assert 'nor a shipped scene of that name; did you mean "film_feeder"?' in again.output
+    assert "checking" not in again.output, "nothing is checked of what is not there"
+
+
 def test_a_tolerance_is_said_to_be_that_of_a_step():
     run = {"tolerance": 0.01}
     assert report._steps(run) == "The tolerance of 0.01 mm is that of each step; together they leave"

@@ -169,3 +169,16 @@ def test_a_blame_map_has_no_arrow_for_what_does_not_matter():
     np.testing.assert_allclose(starts[0], diffeed.get(scene, "rollers.drive_1.center"))
     way = tips[0] - starts[0]
     np.testing.assert_allclose(way / np.linalg.norm(way), (-0.6, -0.8))  # downhill
+
+
+def test_a_name_is_not_put_nearer_to_another_part():
+    """Two parts side by side: on its free side each name is as near, and not to be taken for the other's."""
+    boxes = [
+        labels.Label("one", (30.0, 10.0), np.array([[0.0, 0.0]])),
+        labels.Label("two", (30.0, 10.0), np.array([[14.0, 0.0]])),
+    ]
+    places = labels.place(boxes, np.zeros((0, 2)), (-200.0, -200.0, 200.0, 200.0))
+    for mine, other in ((0, 1), (1, 0)):
+        center = places[mine].center
+        own, foreign = (np.abs(center[0] - boxes[k].anchors[0, 0]) for k in (mine, other))
+        assert own <= foreign

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffeed.base.smooth import divide, polar, powers, ramp
+from diffeed.base.smooth import divide, polar, powers, ramp, solve_positive
 
 
 def test_a_direction_has_the_derivative_of_root_and_quotient():
@@ -70,3 +70,31 @@ def test_powers_that_need_no_logarithm_take_none_in_a_batch_either():
     before, inside = program.split("cond[", 1)
     assert " log " not in before
     assert " log " in inside
+
+
+@pytest.mark.parametrize("sides", [1, 3])
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e12])
+def test_a_positive_system_and_its_derivatives(sides, size):
+    """Against NumPy, and the second derivative of x = b/a: 2 b/a^3. Whatever the size of the numbers: the sides are factored
+    beside the matrix under a diagonal that must stay the largest."""
+    rng = np.random.default_rng(sides)
+    root = rng.normal(size=(7, 7))
+    matrix, right = size * (root @ root.T + np.eye(7)), size * rng.normal(size=(7, sides))
+    given = jnp.asarray(np.tril(matrix)), jnp.asarray(right)
+    np.testing.assert_allclose(solve_positive(*given), np.linalg.solve(matrix, right), rtol=1e-10)
+
+    def value(m, b):
+        return jnp.sum(solve_positive(m, b) ** 2)
+
+    for by in (0, 1):
+        forward, backward = (d(value, argnums=by)(*given) for d in (jax.jacfwd, jax.jacrev))
+        np.testing.assert_allclose(forward, backward, rtol=1e-9, atol=1e-9 * np.abs(backward).max())
+        change = rng.normal(size=given[by].shape) if by else np.tril(rng.normal(size=(7, 7)))
+        h = 1e-5 * size
+        ends = [value(*[v + k * h * change if i == by else v for i, v in enumerate(given)]) for k in (1.0, -1.0)]
+        assert float(jnp.sum(backward * change)) == pytest.approx(float(ends[0] - ends[1]) / (2.0 * h), rel=1e-6)
+
+    def quotient(a):
+        return solve_positive(a[None, None], jnp.full((1, 1), 3.0))[0, 0]
+
+    assert float(jax.grad(jax.grad(quotient))(jnp.asarray(2.0))) == pytest.approx(2.0 * 3.0 / 2.0**3, rel=1e-12)
