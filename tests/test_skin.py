@@ -21,7 +21,7 @@ from diffeed.forces.terms import Step
 from diffeed.input.parts import normalise
 from diffeed.model.arrays import NEWTON
 from diffeed.model.build import build
-from diffeed.readings.snapshot import contact_on_bars, look, roller_track
+from diffeed.readings.snapshot import contact_on_bars, look, on_rollers
 
 PAPER = {"thickness": 0.1, "width": 50.0, "density": 1e-6, "youngs_modulus": 2000.0}
 RADIUS, BAR = 6.0, 5.0
@@ -41,7 +41,7 @@ def force(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
     scene = diffeed.put(scene, "rollers.r.center", jnp.stack([x, y]))
     model = build(scene)
     state = initial_state(model, scene)
-    return roller_track(model, state, *look(model, state)).force[0]
+    return on_rollers(model, look(model, state)[2], keep_all(model)).force[0]
 
 
 def forces(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -251,7 +251,7 @@ def test_sheet_and_roller_that_move_together_feel_nothing():
     touching = look(model, state)[2]
     step, kept = Step(jnp.asarray(1e-4), True), keep_all(model)
     pressed = border(model, state, touching, step, kept)
-    free = border(model, state, Contacts(None, None, touching.at), step, kept)
+    free = border(model, state, Contacts(None, None, touching.at, touching.spin), step, kept)
     added = pressed.matrix()[0, 0] - free.matrix()[0, 0]
     assert float(added) > 0
     assert float(jnp.sum(pressed.columns[0, 1])) == pytest.approx(-float(added))  # it travels along y

@@ -87,15 +87,6 @@ def keep_all(model: Model) -> Kept:
     return keep(model, None, None, None)
 
 
-def keep_rollers(model: Model) -> Kept:
-    """Every roller against every feature, and no guide: half the work or less, for who asks about nips."""
-    whole, n = keep_all(model), model.rollers.n
-    fields = ("radius", "active", "travel_x", "travel_y", "spin_lever")
-    cut = {name: getattr(whole, name)[:n] for name in fields}
-    surface, allowed, approach = jax.tree.map(lambda v: v[:n], (whole.surface, whole.allowed, whole.approach))
-    return whole._replace(lines=None, arcs=None, surface=surface, allowed=allowed, approach=approach, **cut)
-
-
 def allowed_in_circles(radius: Array) -> Array:
     """mm that a bar axis may lie inside circles."""
     return jnp.maximum(jnp.minimum(DEEPEST, 0.5 * radius), SHALLOWEST)
@@ -176,3 +167,12 @@ def by_circle(model: Model, kept: Kept, values: Array, which: np.ndarray, kind: 
     found = jnp.zeros((values.shape[0], len(which) + 1, model.layout.tail.shape[0]), values.dtype)
     found = found.at[:, at, feature].add(values.reshape(values.shape[0], -1), mode="promise_in_bounds")
     return found[:, :-1]
+
+
+def by_roller(model: Model, kept: Kept, values: Array) -> Array:
+    """(k, bodies, features) or (k, pairs) -> (k, rollers): summed over all that a roller touches."""
+    n = model.rollers.n
+    if kept.pairs is None or kept.circle_index is None:
+        return jnp.sum(values[:, :n], axis=2)
+    sums = jnp.zeros((values.shape[0], len(model.circle_names)), values.dtype)
+    return sums.at[:, kept.circle_index].add(values[:, : kept.n_circles], mode="promise_in_bounds")[:, :n]

@@ -61,10 +61,10 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
 
 
-def heading(model: Model, at: Pose, pairs: Pairs) -> tuple[Array, Array]:
-    """Cosine and sine of the direction of travel where pairs touch, (bodies, features): the bar's, or the tangent of the smooth
-    skin."""
-    rows = features(model, at)
+def heading(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> tuple[Array, Array]:
+    """Cosine and sine of the direction of travel where pairs touch: the bar's, or the tangent of the smooth skin; of a shape that
+    meets that of the pairs."""
+    rows = features(model, at, kept.pairs)
     if len(rows) == 1:
         return rows[0].c, rows[0].s
     c, s = (blend(pairs.levers, values) for values in ([r.c for r in rows], [r.s for r in rows]))

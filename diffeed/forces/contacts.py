@@ -7,23 +7,26 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.chain.kinematics import Pose
+from diffeed.chain.state import State
 from diffeed.chain.system import BarTerms
 from diffeed.contact import stick
-from diffeed.contact.bodies import Bodies
+from diffeed.contact.bodies import Bodies, spins
 from diffeed.contact.features import Lever, by_feature, shared, to_bars
-from diffeed.contact.kept import Kept
+from diffeed.contact.kept import Kept, pick
 from diffeed.contact.roller_pairs import RollerPairs, roller_contacts
 from diffeed.contact.sweep import Pairs, sheet_contacts
 from diffeed.forces.terms import Step, bar_terms
 from diffeed.model.arrays import Model
+from diffeed.pair.law import with_friction
 
 
 class Contacts(NamedTuple):
-    """All evaluated contacts of one state, None where a scene has no such part, and the pose that they saw."""
+    """All evaluated contacts of one state, None where a scene has no such part, and the pose and the shafts that they saw."""
 
     sheets: Pairs | None
     rollers: RollerPairs | None
     at: Pose
+    spin: Array  # (rollers,) rad/s
 
 
 def contacts(
@@ -42,7 +45,28 @@ def contacts(
         sheets=sheet_contacts(model, at, world, kept, held) if model.has_bodies else None,
         rollers=roller_contacts(model, world, kept) if model.pairs else None,
         at=at,
+        spin=world.spin,
     )
+
+
+def at_own_time(model: Model, state: State, touching: Contacts, kept: Kept) -> Contacts:
+    """Contacts of a state as a step saw them, with the shafts of its end -> with those of the state's own time, and the friction
+    of its present deflections. Geometry and normal forces are the same, and are not computed again."""
+    spin, radius, (sheets, rollers) = spins(model, state, state.time), model.rollers.radius, touching[:2]
+    gained = (spin - touching.spin) * radius  # mm/s, of the surfaces
+    if sheets is not None and kept.n_circles:
+        on_circles = jnp.pad(gained, (0, len(model.circle_names) - model.rollers.n))
+        shape = sheets.v_t[: kept.n_circles].shape
+        faster = jnp.broadcast_to(pick(on_circles, kept.circle_index), shape)
+        faster = jnp.concatenate([faster, jnp.zeros_like(sheets.v_t[kept.n_circles :])])
+        v_t, grip = sheets.v_t - faster, stick.of_pairs(model, state.grip, kept, 0.0)
+        touch = with_friction(kept.surface, sheets.touch, v_t, kept.own.friction_factor, grip)
+        sheets = sheets._replace(touch=touch, v_t=v_t, u_t=sheets.u_t + faster)
+    if rollers is not None:
+        i, j = rollers.between
+        v_t = rollers.v_t - gained[i] - gained[j]
+        rollers = rollers._replace(touch=with_friction(rollers.surface, rollers.touch, v_t, 1.0, None), v_t=v_t)
+    return Contacts(sheets, rollers, touching.at, spin)
 
 
 class Felt(NamedTuple):

@@ -93,16 +93,23 @@ def contact_law(
         force = jnp.where(pushing, raw, 0.0)
         stiffness = jnp.where(pushing, jnp.maximum(tangent, 0.0), 0.0)
         damping = jnp.where(pushing, damping, 0.0)
+    return with_friction(surface, Touch(force, stiffness, damping, force, None), v_t, friction_factor, grip)
+
+
+def with_friction(
+    surface: Surface, touch: Touch, v_t: Array, friction_factor: Array | float, grip: Grip | None
+) -> Touch:
+    """The same normal force with the friction of the law at a sliding speed `v_t` (mm/s)."""
     if surface.friction is None:
-        return Touch(force, stiffness, damping, jnp.zeros_like(force), None)
-    secant = friction_factor * force * friction_secant(surface, v_t)
-    touch = Touch(force, stiffness, damping, secant * v_t, secant)
+        return touch._replace(friction=jnp.zeros_like(touch.force), secant=None)
+    secant = friction_factor * touch.force * friction_secant(surface, v_t)
+    sliding = touch._replace(friction=secant * v_t, secant=secant)
     if grip is None or surface.stick is None:
-        return touch
+        return sliding
     held, held_secant = stick_friction(surface, v_t, grip)
-    limit = friction_factor * (force if grip.pressed is None else grip.pressed)
-    return touch._replace(
-        friction=jnp.where(surface.stick, limit * held, touch.friction),
+    limit = friction_factor * (touch.force if grip.pressed is None else grip.pressed)
+    return sliding._replace(
+        friction=jnp.where(surface.stick, limit * held, sliding.friction),
         secant=jnp.where(surface.stick, limit * held_secant, secant),
     )
 

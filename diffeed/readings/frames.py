@@ -6,6 +6,7 @@ import jax
 from jax import Array
 
 from diffeed.chain.state import State, mean_per_sheet
+from diffeed.contact.kept import keep_all
 from diffeed.contact.sweep import heading
 from diffeed.forces.energy import Energies, energies
 from diffeed.input.packing import jit_of_scene
@@ -36,10 +37,10 @@ def motion(scene: Scene, states: State) -> Motion:
     model = build(scene)
 
     def at_frame(state: State) -> Motion:
-        at, world, touching = look(model, state)
+        at, _, touching = look(model, state)
         speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-        wanted, press = commanded_speed(model, at, touching, world.spin)
-        return Motion(energies(model, state, at, touching), Feeding(speed, wanted, press > 0))
+        wanted, press = commanded_speed(model, touching, keep_all(model))
+        return Motion(energies(model, state, touching, keep_all(model)), Feeding(speed, wanted, press > 0))
 
     return jax.lax.map(at_frame, states)
 
@@ -61,7 +62,7 @@ def approach(scene: Scene, states: State) -> Approach:
         at, _, touching = look(model, state)
         pairs = touching.sheets
         assert pairs is not None
-        c, s = heading(model, at, pairs)
+        c, s = heading(model, at, pairs, keep_all(model))
         return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

@@ -6,45 +6,47 @@ An observer starts, looks at each step, and closes. To add one: write the three 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from diffeed.base.records import number, record, replace
 from diffeed.base.smooth import divide
 from diffeed.chain.kinematics import Pose, nodes, pose
 from diffeed.chain.state import State, mean_per_sheet
-from diffeed.contact.bodies import Bodies
+from diffeed.contact.features import by_feature
+from diffeed.contact.kept import Kept, keep_all, part, pick
 from diffeed.contact.sweep import heading
 from diffeed.forces.contacts import Contacts
 from diffeed.forces.energy import Powers, powers
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings import spans
-from diffeed.readings.snapshot import by_guide, felt_by_bodies, guide_names, look, roller_order, roller_track
+from diffeed.readings.snapshot import gaps_to_bodies, gaps_to_guides, guide_names, look, on_rollers, roller_order
 from diffeed.readings.trajectory import Parts
 
 
 class Seen(NamedTuple):
-    """One step: states before and after, and a full look at the state before (shafts at its own time)."""
+    """One step: states before and after, and a look at the state before (shafts at its own time)."""
 
     before: State
     after: State
     h: Array
-    at: Pose
-    world: Bodies
     touching: Contacts
+    kept: Kept  # the pairs that were looked at: all, or those that may touch
 
 
 class Observer(NamedTuple):
     """start(model, scene, state); update(model, scene, sums, seen); close(model, scene, sums, state).
 
-    `guides`: whether it needs to see contacts with guides, or those with rollers alone.
+    `far`: whether it needs to see all pairs, or those alone that may touch.
     """
 
     start: Callable[..., Any]
     update: Callable[..., Any]
     close: Callable[..., Any]
-    guides: bool = False
+    far: bool = False
 
 
 # --- nips: slip and forces per roller -----------------------------------------------------------------------------------
@@ -102,18 +104,18 @@ def _nips_start(model: Model, scene: Scene, state: State) -> NipSums:
 
 
 def _nips_update(model: Model, scene: Scene, sums: NipSums, seen: Seen) -> NipSums:
-    track = roller_track(model, seen.before, seen.at, seen.world, seen.touching)
-    h = jnp.where(track.force > 0, seen.h, 0.0)
+    now = on_rollers(model, seen.touching, seen.kept)
+    h = jnp.where(now.force > 0, seen.h, 0.0)
     return NipSums(
         time=sums.time + h,
-        slip=sums.slip + h * track.slip,
-        slip2=sums.slip2 + h * track.slip**2,
-        force=sums.force + h * track.force,
-        force_peak=jnp.maximum(sums.force_peak, track.force),
-        friction=sums.friction + h * track.friction,
-        friction2=sums.friction2 + h * track.friction**2,
-        torque=sums.torque + h * track.torque,
-        torque_peak=jnp.maximum(sums.torque_peak, jnp.abs(track.torque)),
+        slip=sums.slip + h * now.slip,
+        slip2=sums.slip2 + h * now.slip**2,
+        force=sums.force + h * now.force,
+        force_peak=jnp.maximum(sums.force_peak, now.force),
+        friction=sums.friction + h * now.friction,
+        friction2=sums.friction2 + h * now.friction**2,
+        torque=sums.torque + h * now.torque,
+        torque_peak=jnp.maximum(sums.torque_peak, jnp.abs(now.torque)),
     )
 
 
@@ -185,7 +187,7 @@ def _arrivals_look(scene: Scene, past: Arrivals, ends: Array, time: Array) -> Ar
 
 
 def _arrivals_update(model: Model, scene: Scene, past: Arrivals, seen: Seen) -> Arrivals:
-    return _arrivals_look(scene, past, _ends(model, seen.at), seen.before.time)
+    return _arrivals_look(scene, past, _ends(model, seen.touching.at), seen.before.time)
 
 
 def _arrivals_close(model: Model, scene: Scene, past: Arrivals, state: State) -> dict[str, dict[str, dict[str, Array]]]:
@@ -223,11 +225,12 @@ def _energy_add(sums: EnergySums, state: State, now: Powers) -> EnergySums:
 
 
 def _energy_update(model: Model, scene: Scene, sums: EnergySums, seen: Seen) -> EnergySums:
-    return _energy_add(sums, seen.before, powers(model, seen.before, seen.at, seen.world, seen.touching))
+    return _energy_add(sums, seen.before, powers(model, seen.before, seen.touching, seen.kept))
 
 
 def _energy_close(model: Model, scene: Scene, sums: EnergySums, state: State) -> dict[str, Array]:
-    return _energy_add(sums, state, powers(model, state, *look(model, state))).work._asdict()
+    now = powers(model, state, look(model, state)[2], keep_all(model))
+    return _energy_add(sums, state, now).work._asdict()
 
 
 # --- gaps, curvature, feed ----------------------------------------------------------------------------------------------
@@ -240,11 +243,11 @@ class Gaps:
     gap: Any = number(unit="mm", doc="smallest gap so far")
 
 
-def _gaps_now(model: Model, at: Pose, touching: Contacts) -> tuple[Array, Array]:
+def _gaps_now(model: Model, touching: Contacts) -> tuple[Array, Array]:
     if touching.sheets is None:
         return jnp.zeros((0,)), jnp.zeros((0,))
-    felt = felt_by_bodies(model, touching.sheets, at)
-    return felt.gap[: model.rollers.n][roller_order(model)], by_guide(model, felt).gap
+    gap = gaps_to_bodies(model, touching.sheets)
+    return gap[: model.rollers.n][roller_order(model)], gaps_to_guides(model, gap)
 
 
 def _gaps_start(model: Model, scene: Scene, state: State) -> tuple[Array, Array]:
@@ -252,13 +255,13 @@ def _gaps_start(model: Model, scene: Scene, state: State) -> tuple[Array, Array]
 
 
 def _gaps_update(model: Model, scene: Scene, least: tuple[Array, Array], seen: Seen) -> tuple[Array, Array]:
-    rollers, guides = _gaps_now(model, seen.at, seen.touching)
+    rollers, guides = _gaps_now(model, seen.touching)
     return jnp.minimum(least[0], rollers), jnp.minimum(least[1], guides)
 
 
 def _gaps_close(model: Model, scene: Scene, least: tuple[Array, Array], state: State) -> dict[str, Parts[Gaps]]:
-    at, _, touching = look(model, state)
-    rollers, guides = (jnp.minimum(a, b) for a, b in zip(least, _gaps_now(model, at, touching), strict=True))
+    now = _gaps_now(model, look(model, state)[2])
+    rollers, guides = (jnp.minimum(a, b) for a, b in zip(least, now, strict=True))
     return {
         "rollers": Parts(block=Gaps(gap=rollers), names=tuple(sorted(model.rollers.names))),
         "guides": Parts(block=Gaps(gap=guides), names=guide_names(model)),
@@ -299,19 +302,23 @@ class Feed:
     stall: Any = number(unit="s", doc="time of the present stall")
 
 
-def commanded_speed(model: Model, at: Pose, touching: Contacts, spin: Array) -> tuple[Array, Array]:
+def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
     """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
     force, kg mm/s2."""
-    if touching.sheets is None or model.rollers.n == 0:
+    n, circles = model.rollers.n, len(model.circle_names)
+    if touching.sheets is None or n == 0:
         nothing = jnp.zeros((len(model.layout.names),))
         return nothing, nothing
-    n, pairs = model.rollers.n, touching.sheets
-    c, s = heading(model, at, pairs)
-    along = (pairs.nx * s - pairs.ny * c)[:n]
-    force = pairs.touch.force[:n] * model.rollers.driven[:, None].astype(pairs.gap.dtype)
-    pull = jnp.sum(force * along * (spin * model.rollers.radius)[:, None], axis=0)
+    near = slice(kept.n_circles)
+    pairs, of_near = jax.tree.map(lambda v: v[near], touching.sheets), part(kept.pairs, kept.pairs, near)
+    c, s = heading(model, touching.at, pairs, kept._replace(pairs=of_near))
+    driven, speed = np.zeros(circles), jnp.zeros((circles,)).at[:n].set(touching.spin * model.rollers.radius)
+    driven[:n] = model.rollers.driven
+    force = pairs.touch.force * pick(jnp.asarray(driven, pairs.gap.dtype), kept.circle_index)
+    pull = force * (pairs.nx * s - pairs.ny * c) * pick(speed, kept.circle_index)
     # One product instead of slices: each slice would compute the contact law again.
-    pull, force = jnp.stack([pull, jnp.sum(force, axis=0)]) @ jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
+    own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
+    pull, force = by_feature(model, jnp.stack([pull, force]), of_near) @ own
     return divide(pull, force), force
 
 
@@ -321,9 +328,9 @@ def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
 
 
 def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
-    at, h = seen.at, seen.h
+    at, h = seen.touching.at, seen.h
     speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-    wanted, _ = commanded_speed(model, at, seen.touching, seen.world.spin)
+    wanted, _ = commanded_speed(model, seen.touching, seen.kept)
     stalled = (jnp.abs(wanted) > 0) & (speed * jnp.sign(wanted) < 0.1 * jnp.abs(wanted))
     stall = jnp.where(stalled, feed.stall + h, 0.0)
     return Feed(
@@ -346,8 +353,8 @@ def _feed_close(model: Model, scene: Scene, feed: Feed, state: State) -> dict[st
 OBSERVERS: dict[str, Observer] = {
     "nips": Observer(_nips_start, _nips_update, _nips_close),
     "arrivals": Observer(_arrivals_start, _arrivals_update, _arrivals_close),
-    "energy": Observer(_energy_start, _energy_update, _energy_close, guides=True),
-    "gaps": Observer(_gaps_start, _gaps_update, _gaps_close, guides=True),
+    "energy": Observer(_energy_start, _energy_update, _energy_close),
+    "gaps": Observer(_gaps_start, _gaps_update, _gaps_close, far=True),
     "curvature": Observer(_curvature_start, _curvature_update, _curvature_close),
     "feed": Observer(_feed_start, _feed_update, _feed_close),
     "spans": Observer(spans.start, spans.update, spans.close),

@@ -12,7 +12,7 @@ from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, shift_at, spins
 from diffeed.contact.features import shared, to_bars
-from diffeed.contact.kept import keep_all, keep_rollers
+from diffeed.contact.kept import Kept, by_roller, keep_all
 from diffeed.contact.sweep import Pairs, heading
 from diffeed.forces.contacts import Contacts, contacts
 from diffeed.model.arrays import NEWTON, Model
@@ -20,31 +20,36 @@ from diffeed.readings.trajectory import GuideTrack, Parts, RollerTrack, SheetTra
 
 
 class Felt(NamedTuple):
-    """Sums over a sheet's features, one entry per body."""
+    """What pairs feel, or sums of it over a sheet's features, one entry per body."""
 
     force: Array  # N
     friction: Array  # N on the sheet along its heading
     moment: Array  # N: friction on the body along its own tangent (times radius: torque)
     slide: Array  # N mm/s: normal force times (body - sheet) speed along the heading
-    gap: Array  # mm
+
+
+def felt_by_pairs(model: Model, pairs: Pairs, at: Pose, kept: Kept) -> Felt:
+    """Each pair by itself, (bodies, features) or (pairs,)."""
+    c, s = heading(model, at, pairs, kept)
+    touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
+    found = Felt(touch.force, -touch.friction * along, touch.friction, -touch.force * pairs.v_t * along)
+    return Felt(*(v / NEWTON for v in found))
+
+
+def felt_by_rollers(model: Model, pairs: Pairs, at: Pose, kept: Kept) -> Felt:
+    """Sums over features, (rollers,)."""
+    return Felt(*by_roller(model, kept, jnp.stack(felt_by_pairs(model, pairs, at, kept))))
 
 
 def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
-    """Sums over features, (bodies,), or (rollers,) where only those were looked at.
+    """Sums over features, (bodies,), of contacts that hold every body."""
+    return jax.tree.map(lambda v: jnp.sum(v, axis=1), felt_by_pairs(model, pairs, at, keep_all(model)))
 
-    A joined tip touches nothing: its gap is infinite.
-    """
-    c, s = heading(model, at, pairs)
-    touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
-    gap = jnp.min(pairs.gap, axis=1)
-    n = min(gap.shape[0], len(model.circle_names))  # the rollers alone, or all bodies
-    return Felt(
-        force=jnp.sum(touch.force, axis=1) / NEWTON,
-        friction=jnp.sum(-touch.friction * along, axis=1) / NEWTON,
-        moment=jnp.sum(touch.friction, axis=1) / NEWTON,
-        slide=jnp.sum(-touch.force * pairs.v_t * along, axis=1) / NEWTON,
-        gap=gap.at[:n].set(jnp.where(model.circles.active[:n] > 0, gap[:n], jnp.inf)),
-    )
+
+def gaps_to_bodies(model: Model, pairs: Pairs) -> Array:
+    """(bodies,) mm, the smallest, of contacts that hold every body. A joined tip touches nothing: its gap is infinite."""
+    gap, n = jnp.min(pairs.gap, axis=1), len(model.circle_names)
+    return gap.at[:n].set(jnp.where(model.circles.active > 0, gap[:n], jnp.inf))
 
 
 def guide_names(model: Model) -> tuple[str, ...]:
@@ -67,28 +72,42 @@ def roller_order(model: Model) -> np.ndarray:
     return np.array([model.rollers.names.index(n) for n in sorted(model.rollers.names)], dtype=int)
 
 
-def roller_track(model: Model, state: State, at: Pose, world: Bodies, touching: Contacts) -> RollerTrack:
-    """Rollers in sorted order."""
+class Pressed(NamedTuple):
+    """What contacts do on rollers, (rollers,) in sorted order."""
+
+    force: Array  # N
+    friction: Array  # N on the sheet along its heading
+    torque: Array  # N mm
+    slip: Array  # mm/s, roller minus sheet along the heading
+
+
+def on_rollers(model: Model, touching: Contacts, kept: Kept) -> Pressed:
+    """Of all rollers, from the kept pairs."""
+    if touching.sheets is None or model.rollers.n == 0:
+        return Pressed(*[jnp.zeros((0,))] * 4)
+    felt = felt_by_rollers(model, touching.sheets, touching.at, kept)
+    torque = felt.moment * model.rollers.radius
+    if touching.rollers is not None:
+        torque = torque + _pair_torque(model, touching)
+    found = Pressed(felt.force, felt.friction, torque, divide(felt.slide, felt.force))
+    return jax.tree.map(lambda v: v[roller_order(model)], found)
+
+
+def roller_track(model: Model, state: State, world: Bodies, touching: Contacts) -> RollerTrack:
+    """Rollers in sorted order, from contacts that hold every body."""
     order, n = roller_order(model), model.rollers.n
     if touching.sheets is None or n == 0:
         empty = jnp.zeros((0,))
         return RollerTrack(center=jnp.zeros((0, 2)), travel=empty, angle=empty, angular_velocity=empty, force=empty,
                            friction=empty, torque=empty, slip=empty, gap=empty)  # fmt: skip
-    felt = Felt(*(v[:n] for v in felt_by_bodies(model, touching.sheets, at)))
-    torque = felt.moment * model.rollers.radius
-    if touching.rollers is not None:
-        torque = torque + _pair_torque(model, touching)
     travel = jnp.concatenate([state.travel, jnp.zeros((n - model.rollers.n_movable,))])
     return RollerTrack(
         center=jnp.stack([world.circles.x[:n], world.circles.y[:n]], axis=1)[order],
         travel=travel[order],
         angle=state.angle[order],
         angular_velocity=spins(model, state, state.time)[order],
-        force=felt.force[order],
-        friction=felt.friction[order],
-        torque=torque[order],
-        slip=divide(felt.slide, felt.force)[order],
-        gap=felt.gap[order],
+        **on_rollers(model, touching, keep_all(model))._asdict(),
+        gap=gaps_to_bodies(model, touching.sheets)[:n][order],
     )
 
 
@@ -101,21 +120,27 @@ def _pair_torque(model: Model, touching: Contacts) -> Array:
     return torque.at[j].add(pull * radius[j])
 
 
-def by_guide(model: Model, felt: Felt) -> Felt:
-    """Bodies -> guides in sorted order: lines, arcs and circle guides with their tips."""
+def _guide_of_body(model: Model) -> tuple[np.ndarray, int]:
+    """Of each body that is no roller the place in `guide_names`, and how many names there are. A guide's tips are its own."""
     names = guide_names(model)
     owners = (*model.circle_names[model.rollers.n :], *model.lines.names, *model.arcs.names)
-    index = np.array([names.index(n) for n in owners], dtype=int)
-    entries = Felt(*(v[model.rollers.n :] for v in felt))
-    sums = [jax.ops.segment_sum(v, index, len(names)) for v in entries[:4]]
-    return Felt._make([*sums, jax.ops.segment_min(entries.gap, index, len(names))])
+    return np.array([names.index(n) for n in owners], dtype=int), len(names)
 
 
-def guide_track(model: Model, state: State, at: Pose, touching: Contacts) -> GuideTrack:
+def gaps_to_guides(model: Model, gap: Array) -> Array:
+    """(bodies,) -> (guides,) in sorted order, mm."""
+    return jax.ops.segment_min(gap[model.rollers.n :], *_guide_of_body(model))
+
+
+def guide_track(model: Model, state: State, touching: Contacts) -> GuideTrack:
     names = guide_names(model)
-    felt = Felt(*[jnp.zeros((0,))] * 5)
+    force = friction = gap = jnp.zeros((0,))
     if touching.sheets is not None:
-        felt = by_guide(model, felt_by_bodies(model, touching.sheets, at))
+        felt = felt_by_bodies(model, touching.sheets, touching.at)
+        force, friction = (
+            jax.ops.segment_sum(v[model.rollers.n :], *_guide_of_body(model)) for v in (felt.force, felt.friction)
+        )
+        gap = gaps_to_guides(model, gaps_to_bodies(model, touching.sheets))
     shift, turn = jnp.zeros((len(names), 2)), jnp.zeros((len(names),))
     for key, path in model.paths.items():
         family, k = key.split(".")
@@ -124,7 +149,7 @@ def guide_track(model: Model, state: State, at: Pose, touching: Contacts) -> Gui
             at_time, row = shift_at(path, state.time), names.index(owners[int(k)])
             shift = shift.at[row].set(jnp.stack([at_time.dx, at_time.dy]))
             turn = turn.at[row].set(at_time.angle)
-    return GuideTrack(displacement=shift, rotation=turn, force=felt.force, friction=felt.friction, gap=felt.gap)
+    return GuideTrack(displacement=shift, rotation=turn, force=force, friction=friction, gap=gap)
 
 
 def contact_on_bars(model: Model, touching: Contacts) -> tuple[Array, Array, Array]:
@@ -158,20 +183,16 @@ def sheet_tracks(model: Model, state: State, at: Pose, touching: Contacts) -> di
     return tracks
 
 
-def look(model: Model, state: State, guides: bool = True) -> tuple[Pose, Bodies, Contacts]:
-    """Pose, bodies and contacts at a state itself (shafts as prescribed at its own time).
-
-    Without `guides`, contacts hold the rows of the rollers alone.
-    """
+def look(model: Model, state: State) -> tuple[Pose, Bodies, Contacts]:
+    """Pose, bodies and contacts of all pairs at a state itself (shafts as prescribed at its own time)."""
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
-    whole = guides or model.rollers.n == 0
-    return at, world, contacts(model, at, world, keep_all(model) if whole else keep_rollers(model), state.grip)
+    return at, world, contacts(model, at, world, keep_all(model), state.grip)
 
 
 def snapshot(model: Model, state: State) -> tuple[dict[str, SheetTrack], Parts[RollerTrack], Parts[GuideTrack]]:
     """Everything that a frame of a trajectory holds."""
     at, world, touching = look(model, state)
-    rollers = Parts(block=roller_track(model, state, at, world, touching), names=tuple(sorted(model.rollers.names)))
-    guides = Parts(block=guide_track(model, state, at, touching), names=guide_names(model))
+    rollers = Parts(block=roller_track(model, state, world, touching), names=tuple(sorted(model.rollers.names)))
+    guides = Parts(block=guide_track(model, state, touching), names=guide_names(model))
     return sheet_tracks(model, state, at, touching), rollers, guides

@@ -9,6 +9,7 @@ from jax import Array
 from diffeed.base.records import number, record, replace
 from diffeed.base.smooth import divide
 from diffeed.chain.state import State
+from diffeed.contact.kept import by_circle
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import NEWTON, Model
 
@@ -45,7 +46,9 @@ def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
     if seen.touching.sheets is None or model.rollers.n < 2:
         return sums
     tension = seen.after.stretch / (2.0 * model.bars.half_length) / NEWTON
-    found = [_spans(model, scene, k, name, tension, seen.touching.sheets) for k, name in enumerate(model.layout.names)]
+    kept, driven = seen.kept, np.flatnonzero(model.rollers.driven)
+    force = by_circle(model, kept, seen.touching.sheets.touch.force[None, None, : kept.n_circles], driven)[0]
+    found = [_spans(model, scene, k, name, tension, force) for k, name in enumerate(model.layout.names)]
     weight, pull, ratio = (jnp.stack(v) for v in zip(*found, strict=True))  # (sheets, pairs) each
     h = jnp.where(jnp.sum(weight, axis=1) > 0, seen.h, 0.0)
     count = jnp.sum(weight, axis=1)
@@ -57,14 +60,13 @@ def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
     )
 
 
-def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs: Any) -> tuple[Array, Array, Array]:
-    """For every pair of driven rollers: 1 if they hold the sheet as neighbours, mean tension between, compression over
-    the Euler load. Each (pairs,)."""
+def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pressed: Array) -> tuple[Array, Array, Array]:
+    """For every pair of driven rollers: 1 if they hold the sheet as neighbours, mean tension between, compression over the Euler
+    load. Each (pairs,). `pressed` are the forces of the driven rollers, (driven, features)."""
     layout, sheet = model.layout, scene.sheets[name]
     bars = layout.slices()[k]
     features = slice(bars.start + k, bars.stop + k + 1)
-    driven = np.flatnonzero(model.rollers.driven)
-    force = pairs.touch.force[: model.rollers.n][driven][:, features]  # (driven, features)
+    force = pressed[:, features]
     bar = sheet.length / sheet.bars
     count = layout.bars[k]
     middle = 0.0 if model.skin == "smooth" else 0.5  # a feature is centred on its node or on its bar
@@ -72,7 +74,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, pairs:
     total = jnp.sum(force, axis=1)
     at = divide(force @ place, total)  # mm behind the lead where each nip holds
     holds = (total > 0).astype(at.dtype)
-    i, j = np.triu_indices(len(driven), 1)
+    i, j = np.triu_indices(len(pressed), 1)
     low, high = jnp.minimum(at[i], at[j]), jnp.maximum(at[i], at[j])
     inner = (at[None] > low[:, None] + 0.5 * bar) & (at[None] < high[:, None] - 0.5 * bar)
     between = jnp.sum(jnp.where(inner, holds[None], 0.0), axis=1)

@@ -15,11 +15,11 @@ from diffeed.contact import stick
 from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.candidates import Candidates, check_reach
 from diffeed.contact.crossing import misplaced_at
-from diffeed.contact.kept import Kept
+from diffeed.contact.kept import Kept, keep_all
 from diffeed.faults import balance, judge
 from diffeed.faults.balance import Book
 from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
-from diffeed.forces.contacts import Contacts
+from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings.observe import OBSERVERS, Seen
@@ -106,9 +106,7 @@ def taken(
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
     if observe:
-        guides = any(OBSERVERS[name].guides for name in observe)
-        seen = Seen(before, after, h, *look(model, before, guides))
-        opened = {name: OBSERVERS[name].update(model, scene, carry.open[name], seen) for name in observe}
+        opened = _observed(model, scene, carry, after, touching, h, kept, observe)
     return Progress(
         state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
         cause=jnp.where(carry.cause == 0, cause, carry.cause),
@@ -118,6 +116,29 @@ def taken(
         book=book,  # of no use once a run has failed
         error=carry.error + jnp.where(fine, leap, 0.0),
     )
+
+
+def _observed(
+    model: Model,
+    scene: Scene,
+    carry: Progress,
+    after: State,
+    touching: Contacts,
+    h: Array,
+    kept: Kept,
+    observe: tuple[str, ...],
+) -> dict[str, Any]:
+    """The accumulators after a step. They see the contacts that the step saw, of which only friction is computed again; what is
+    far from everything is looked at only for those who ask."""
+    before, far = carry.state, any(OBSERVERS[name].far for name in observe)
+    seen = Seen(before, after, h, at_own_time(model, before, touching, kept), kept)
+    whole = Seen(before, after, h, look(model, before)[2], keep_all(model)) if far else seen
+
+    def updated(name: str) -> Any:
+        asked = OBSERVERS[name]
+        return asked.update(model, scene, carry.open[name], whole if asked.far else seen)
+
+    return {name: updated(name) for name in observe}
 
 
 def recomputed(step: Step) -> Step:

@@ -22,7 +22,7 @@ from diffeed.input.parts import Scene, normalise, warn_if_single
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
 from diffeed.readings.observe import OBSERVERS
-from diffeed.readings.snapshot import felt_by_bodies, look, part_names, snapshot
+from diffeed.readings.snapshot import felt_by_bodies, gaps_to_bodies, look, part_names, snapshot
 from diffeed.readings.trajectory import Failure, Resume, Trajectory
 from diffeed.run import error_control
 from diffeed.run.progress import Progress, begin, recomputed, searched, taken
@@ -245,14 +245,14 @@ def _blamed(model: Model, last: Progress, h: Array) -> Array:
     force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
     at, _, touching = look(model, last.state)
     assert touching.sheets is not None
-    felt = felt_by_bodies(model, touching.sheets, at)
+    force, gap = felt_by_bodies(model, touching.sheets, at).force, gaps_to_bodies(model, touching.sheets)
     about = severity(touching.sheets, keep_all(model), h)
     wrong = misplaced(model, last.state)
-    astray = jnp.where(last.cause == BEHIND, wrong.behind, wrong.across).astype(felt.gap.dtype)
+    astray = jnp.where(last.cause == BEHIND, wrong.behind, wrong.across).astype(gap.dtype)
     astray = jnp.concatenate([jnp.zeros((len(model.circle_names),)), astray])
-    pressed = lax.stop_gradient(jnp.where(jnp.isnan(felt.force), jnp.inf, felt.force))
+    pressed = lax.stop_gradient(jnp.where(jnp.isnan(force), jnp.inf, force))
     nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
-    pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(felt.gap, 0.0)), pressed)
+    pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(gap, 0.0)), pressed)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
     weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), astray, pressed))
     by_part = _by_part(model, weight)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffeed.chain.state import State
+from diffeed.contact.kept import keep_all
 from diffeed.forces.energy import Powers, energies, powers
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -28,7 +29,7 @@ class Ledger(NamedTuple):
 
 
 def _entry(model: Model, state: State) -> Ledger:
-    at, world, touching = look(model, state)
+    at, _, touching = look(model, state)
     bars = model.bars
     push = jnp.zeros(2)
     if touching.sheets is not None:
@@ -40,8 +41,8 @@ def _entry(model: Model, state: State) -> Ledger:
         spin=jnp.sum(bars.mass * (at.x * at.vy - at.y * at.vx) + bars.inertia * at.w),
         push=push,
         weight=jnp.sum(bars.mass) * model.gravity,
-        energy=sum(energies(model, state, at, touching), jnp.zeros(())),
-        powers=powers(model, state, at, world, touching),
+        energy=sum(energies(model, state, touching, keep_all(model)), jnp.zeros(())),
+        powers=powers(model, state, touching, keep_all(model)),
         travelling=model.rollers.mass * state.travel_rate,
     )
 
