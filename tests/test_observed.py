@@ -55,7 +55,8 @@ def test_observers_see_what_a_full_look_shows(name: str, method: str):
         )
 
     (nips, power, feed), (all_nips, all_power, all_feed) = jax.jit(lambda states: jax.lax.map(both, states))(run.states)
-    assert np.asarray(all_nips.force).max() > 0.1 and np.asarray(all_power.drives).max() > 0.0
+    assert np.asarray(all_nips.force).max() > 0.1
+    assert np.asarray(all_power.drives).max() > 0.0
     for now, then in ((nips, all_nips), (power, all_power), (feed, all_feed)):
         for a, b in zip(now, then, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * (1.0 + np.abs(np.asarray(b)).max()))
