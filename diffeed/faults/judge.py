@@ -64,7 +64,8 @@ def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
     unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
     of_each = jnp.where(deep, 2, jnp.where(unresolved, 1, 0)).astype(jnp.int32)  # one sweep: every step pays for it
-    return jnp.asarray([0, UNRESOLVED, TOO_DEEP], jnp.int32)[jnp.max(of_each)]
+    worst = jnp.max(of_each)
+    return jnp.where(worst == 2, TOO_DEEP, jnp.where(worst == 1, UNRESOLVED, 0)).astype(jnp.int32)
 
 
 def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
