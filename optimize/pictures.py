@@ -55,6 +55,7 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = 
     rows = gain_of(found)[:SHOWN]
     rows = [row for row in rows if row[2] >= FAINTEST * rows[0][2]]  # the shortest arrow must not stand for nothing
     if not rows:
+        _title(ax, "Moving parts does not change the objective")
         return ax
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     longest = 0.12 * max(np.ptp(low), np.ptp(high))
@@ -66,11 +67,12 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = 
         if i < 4:
             ax.annotate(f"{gain:.2g}", xy=tuple(tip), xytext=(3, 3), textcoords="offset points", zorder=10,
                         fontsize=plot_style.SMALL, color=plot_style.COLORS[1])  # fmt: skip
-    ax.set_title(
-        "Which way to move what: gain in the objective per 0.1 mm",
-        fontsize=plot_style.TITLE, loc="left", pad=18,
-    )  # fmt: skip
+    _title(ax, "Which way to move what: gain in the objective per 0.1 mm")
     return ax
+
+
+def _title(ax: "Axes", text: str) -> None:
+    ax.set_title(text, fontsize=plot_style.TITLE, loc="left", pad=18)
 
 
 def heat_map(found: Arising, ax: "Axes | None" = None) -> "Axes":

@@ -11,7 +11,7 @@ import diffeed
 from diffeed import cli
 from diffeed.base.records import replace
 from diffeed.input.parts import Scene
-from diffeed.readings.agreement import FINER, OF_ROLLERS, SHARE, TOLD
+from diffeed.readings.agreement import FINER, OF_ROLLERS, SHARE, TOLD, WIDEST
 from diffeed.readings.trajectory import Failure, Trajectory
 from diffeed.readings.verdict import judged
 from tests.search import valid
@@ -41,9 +41,10 @@ def moved(run: Trajectory, frame: int, by: float, **changes) -> Trajectory:
 def test_runs_agree_within_what_they_tell_or_a_share_of_the_way(scene, run):
     way = diffeed.confirm(scene, run, run).way
     assert way > 5.0
-    for error, limit in ((1e-6, SHARE * way), (1.0, TOLD * 1.0)):
-        told = replace(run, error=np.asarray(error))
-        near, far = (diffeed.confirm(scene, told, moved(told, 2, by * limit)) for by in (0.8, 1.2))
+    told = 0.5 * WIDEST * way / TOLD
+    for error, limit in ((1e-6, SHARE * way), (told, TOLD * told), (way, WIDEST * way)):
+        first = replace(run, error=np.asarray(error))
+        near, far = (diffeed.confirm(scene, first, moved(first, 2, by * limit)) for by in (0.8, 1.2))
         assert near.holds
         assert not far.holds
         assert far.apart == pytest.approx(1.2 * limit)

@@ -74,6 +74,16 @@ def test_a_limit_is_broken_by_what_ranks_the_points(over, violation, told):
     assert summarise(Result(study, point, point, begin(study), [], ""))["after"]["keeps_limits"] == (not told)
 
 
+@pytest.mark.parametrize(("objective", "told"), [(0.0, True), (0.1, False)])
+def test_an_objective_that_cannot_get_less_says_so(objective, told):
+    study, verdict = problem(), measures.Verdict("jammed", "", 0.01, "")
+    value = np.array([[4.0]])
+    point = Scored(study.start, {"preload": 3.0}, value, value, objective, 0.0, (verdict,), {})
+    text = io.StringIO()
+    print_result(Console(file=text, width=140), Result(study, point, point, begin(study), [], "enough"))
+    assert ("The objective is 0 at the start" in text.getvalue()) is told
+
+
 @pytest.mark.slow
 def test_the_expected_objective_has_the_variance_in_it():
     """E (f + d - 4)^2 = (f - 4)^2 + Var d: the best preload is the same, its score is the scatter."""

@@ -124,6 +124,11 @@ def test_put_of_a_word_at_an_index_is_refused():
         put(normalise(raw_scene()), "gravity[0]", "down")
 
 
+def test_a_word_in_place_of_a_number_is_refused():
+    with pytest.raises(PathError, match=r'"sheets.film.width" must be a number, but is "wide"'):
+        put(normalise(raw_scene()), "sheets.film.width", "wide")
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [

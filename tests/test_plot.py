@@ -182,3 +182,8 @@ def test_a_name_is_not_put_nearer_to_another_part():
         center = places[mine].center
         own, foreign = (np.abs(center[0] - boxes[k].anchors[0, 0]) for k in (mine, other))
         assert own <= foreign
+
+
+def test_a_blame_map_without_arrows_says_why():
+    nothing = Blame(0.0, {f"rollers.{name}.center": np.zeros(2) for name in SCENE.rollers}, {})
+    assert blame_map(SCENE, RUN, nothing).get_title(loc="left") == "Moving parts does not change the objective"

@@ -263,6 +263,11 @@ def test_contributions_come_largest_first_in_percent():
     assert ax.yaxis_inverted()
 
 
+def test_a_share_of_hardly_anything_does_not_fill_the_axis():
+    ax = drawn(charts.contributions(NAMES, {"gradient": np.full(len(NAMES), 1e-3)}))
+    assert ax.get_xlim() == (0.0, 100.0)
+
+
 def test_contributions_of_one_row_stay_within_it():
     ax = drawn(charts.contributions(NAMES, SHARES))
     spans = [(bar.get_y(), bar.get_y() + bar.get_height()) for held in ax.containers for bar in held]

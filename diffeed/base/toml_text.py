@@ -1,5 +1,6 @@
 """TOML from a file that may hold anything: plain values, or one sentence. Never more memory than a file of its size is worth."""
 
+import json
 import re
 import tomllib
 from importlib.resources.abc import Traversable
@@ -40,5 +41,26 @@ def decode(data: bytes, largest: int) -> dict[str, Any]:
         raise TomlError("the file nests tables or lists too deeply") from None
     except TomlError:
         raise
-    except ValueError as error:
+    except UnicodeDecodeError as error:
         raise TomlError(f"the file is not readable TOML: {error}") from None
+    except ValueError as error:
+        raise TomlError(f"the file is not readable TOML: {_in_words(str(error), text)}") from None
+
+
+_TWICE = ("Cannot overwrite a value", "Cannot declare")
+_AT_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
+LONGEST_SHOWN = 80
+"""Characters of a line that is shown."""
+
+
+def _in_words(reason: str, text: str) -> str:
+    """What the reader says, with the line that it means."""
+    found = _AT_LINE.search(reason)
+    if not found:
+        return reason
+    lines = text.rstrip().split("\n")
+    number = int(found[1] or len(lines))
+    line = "".join(lines[number - 1 : number]).strip()
+    shown = line if len(line) <= LONGEST_SHOWN else f"{line[:LONGEST_SHOWN].rstrip(', ')} ..."
+    twice = "this is given a second time" if reason.startswith(_TWICE) else reason[: found.start()]
+    return f"{twice}, line {number}: {json.dumps(shown, ensure_ascii=False)}" if line else f"{twice}, line {number}"

@@ -42,7 +42,7 @@ def put(scene: T, path: str, value: Any) -> T:
     """A copy of the scene with another value at a path; the rest is shared.
 
     Numbers may be traced and become arrays, words stay static; "none" takes an optional number away. Whether the value is
-    sound, `diffeed.check` says. PathError, a ValueError, for a path that leads nowhere.
+    sound, `diffeed.check` says. PathError, a ValueError, for a path that leads nowhere and for a word in place of a number.
     """
     names, index = _split(path)
     return _put(scene, names, 0, path, lambda old, f: _changed(old, f, index, value, path))
@@ -146,13 +146,15 @@ def _changed(old: Any, field: Any, index: tuple[int, ...], value: Any, path: str
         return value
     if isinstance(value, str) and value == "none" and field.metadata.get("optional"):
         return None
-    return _leaf(value)
+    return _leaf(value, path)
 
 
-def _leaf(value: Any) -> Any:
-    """A number as an array; a profile or motion field by field; what is neither stays for the check to judge."""
+def _leaf(value: Any, path: str) -> Any:
+    """A number as an array; a profile or motion field by field; a word is neither, and what else there is the check judges."""
     if isinstance(value, (Profile, Motion)):
-        return replace(value, **{f.name: _leaf(getattr(value, f.name)) for f in fields(value)})
+        return replace(value, **{f.name: _leaf(getattr(value, f.name), path) for f in fields(value)})
+    if isinstance(value, str):
+        raise PathError(f'"{path}" must be a number, but is {show(value)}')
     return value if measure(value) is None else jnp.asarray(value, dtype=jnp.result_type(float))
 
 

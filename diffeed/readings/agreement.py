@@ -21,6 +21,8 @@ FINER = 4
 TOLD, SHARE = 3.0, 0.02
 """Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
 larger."""
+WIDEST = 0.1
+"""Of the same way: no error that a run tells of excuses more."""
 APART, SMALL = 0.2, 0.05
 """Of a roller's own value and of the largest of all rollers: what differs by more than both is not confirmed. Less than a fifth
 moves few decisions, and what is small beside the others' counts for little."""
@@ -50,7 +52,7 @@ class Confirmation(NamedTuple):
     before: str  # status of the run: passed, late, jammed, failed
     after: str  # and of the finer one
     until: float  # s, up to which the runs were compared: when the fate of the last sheet was decided, or the end
-    holds: bool  # they have one status, and are no further apart than TOLD and SHARE allow
+    holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
 
     def sentence(self) -> str:
@@ -99,7 +101,7 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
         way, until = max(way, float(steps.sum(axis=0).max(initial=0.0))), max(until, last - 1)
         if not gaps.max() <= apart:  # what is not a number is further than any
             apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
-    near = apart <= max(TOLD * float(run.error), SHARE * way)
+    near = apart <= max(min(TOLD * float(run.error), WIDEST * way), SHARE * way)
     holds = bool(near and before == after != "failed")
     unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
     return Confirmation(apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds, unsure)
