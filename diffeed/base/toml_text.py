@@ -33,16 +33,15 @@ def decode(data: bytes, largest: int) -> dict[str, Any]:
         raise TomlError(f"the file must be <= {largest / 1e6:g} MB, but is larger")
     try:
         text = data.decode("utf-8-sig")
-        if found := _TOO_DEEP.search(text):
-            line = text.count("\n", 0, found.start()) + 1
-            raise TomlError(f"line {line}: the file nests tables too deeply: at most {DEEPEST} names joined by dots")
+    except ValueError as error:
+        raise TomlError(f"the file is not readable TOML: {error}") from None
+    if found := _TOO_DEEP.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise TomlError(f"line {line}: the file nests tables too deeply: at most {DEEPEST} names joined by dots")
+    try:
         return tomllib.loads(text)
     except RecursionError:
         raise TomlError("the file nests tables or lists too deeply") from None
-    except TomlError:
-        raise
-    except UnicodeDecodeError as error:
-        raise TomlError(f"the file is not readable TOML: {error}") from None
     except ValueError as error:
         raise TomlError(f"the file is not readable TOML: {_in_words(str(error), text)}") from None
 
