@@ -106,7 +106,7 @@ def taken(
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
     if observe:
-        opened = _observed(model, scene, carry, after, touching, h, kept, observe)
+        opened = _observed(model, scene, carry.open, Seen(before, after, h, touching, kept), observe)
     return Progress(
         state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
         cause=jnp.where(carry.cause == 0, cause, carry.cause),
@@ -118,25 +118,16 @@ def taken(
     )
 
 
-def _observed(
-    model: Model,
-    scene: Scene,
-    carry: Progress,
-    after: State,
-    touching: Contacts,
-    h: Array,
-    kept: Kept,
-    observe: tuple[str, ...],
-) -> dict[str, Any]:
-    """The accumulators after a step. They see the contacts that the step saw, of which only friction is computed again; what is
-    far from everything is looked at only for those who ask."""
-    before, far = carry.state, any(OBSERVERS[name].far for name in observe)
-    seen = Seen(before, after, h, at_own_time(model, before, touching, kept), kept)
-    whole = Seen(before, after, h, look(model, before)[2], keep_all(model)) if far else seen
+def _observed(model: Model, scene: Scene, past: dict[str, Any], step: Seen, observe: tuple[str, ...]) -> dict[str, Any]:
+    """The accumulators after a step, given with the contacts that it saw itself, of which only friction is computed again. What
+    is far from everything is looked at only for those who ask."""
+    seen = whole = step._replace(touching=at_own_time(model, step.before, step.touching, step.kept))
+    if any(OBSERVERS[name].far for name in observe):
+        whole = step._replace(touching=look(model, step.before)[2], kept=keep_all(model))
 
     def updated(name: str) -> Any:
         asked = OBSERVERS[name]
-        return asked.update(model, scene, carry.open[name], whole if asked.far else seen)
+        return asked.update(model, scene, past[name], whole if asked.far else seen)
 
     return {name: updated(name) for name in observe}
 
