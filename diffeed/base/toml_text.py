@@ -1,10 +1,11 @@
 """TOML from a file that may hold anything: plain values, or one sentence. Never more memory than a file of its size is worth."""
 
-import json
 import re
 import tomllib
 from importlib.resources.abc import Traversable
 from typing import Any
+
+from diffeed.base.words import quoted
 
 DEEPEST = 16
 """Names joined by dots in one key or table header. The reader keeps every beginning of a key: without a limit, 400 kB of dots
@@ -48,8 +49,6 @@ def decode(data: bytes, largest: int) -> dict[str, Any]:
 
 _TWICE = ("Cannot overwrite a value", "Cannot declare")
 _AT_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
-LONGEST_SHOWN = 80
-"""Characters of a line that is shown."""
 
 
 def _in_words(reason: str, text: str) -> str:
@@ -60,6 +59,5 @@ def _in_words(reason: str, text: str) -> str:
     lines = text.rstrip().split("\n")
     number = int(found[1] or len(lines))
     line = "".join(lines[number - 1 : number]).strip()
-    shown = line if len(line) <= LONGEST_SHOWN else f"{line[:LONGEST_SHOWN].rstrip(', ')} ..."
     twice = "this is given a second time" if reason.startswith(_TWICE) else reason[: found.start()]
-    return f"{twice}, line {number}: {json.dumps(shown, ensure_ascii=False)}" if line else f"{twice}, line {number}"
+    return f"{twice}, line {number}: {quoted(line)}" if line else f"{twice}, line {number}"
