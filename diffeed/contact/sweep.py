@@ -13,7 +13,7 @@ from diffeed.base.once import computed_once, derived_once
 from diffeed.base.smooth import polar
 from diffeed.chain.kinematics import Pose
 from diffeed.contact.bodies import Bodies
-from diffeed.contact.features import Lever, blend, features
+from diffeed.contact.features import Lever, Listed, blend, features
 from diffeed.contact.kept import Kept
 from diffeed.contact.near import nearest
 from diffeed.model.arrays import Model
@@ -61,10 +61,10 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
 
 
-def heading(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> tuple[Array, Array]:
+def heading(model: Model, at: Pose, pairs: Pairs, listed: Listed | None) -> tuple[Array, Array]:
     """Cosine and sine of the direction of travel where pairs touch: the bar's, or the tangent of the smooth skin; of a shape that
     meets that of the pairs."""
-    rows = features(model, at, kept.pairs)
+    rows = features(model, at, listed)
     if len(rows) == 1:
         return rows[0].c, rows[0].s
     c, s = (blend(pairs.levers, values) for values in ([r.c for r in rows], [r.s for r in rows]))

@@ -13,7 +13,7 @@ from diffeed.chain.state import State, spread
 from diffeed.chain.system import Solution
 from diffeed.contact import stick
 from diffeed.contact.features import by_feature
-from diffeed.contact.kept import Kept, by_circle
+from diffeed.contact.kept import Kept, by_roller
 from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
 from diffeed.forces.contacts import Contacts
@@ -74,7 +74,7 @@ def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Arra
     free = np.arange(rollers.n)[rollers.free]
     if not len(free):
         return force @ own / mass[None], jnp.zeros((1, 0), friction.dtype)
-    on_rollers = jnp.sum(by_circle(model, kept, friction[None, None, : kept.n_circles], free), axis=2)
+    on_rollers = by_roller(model, kept, friction[None])[:, free]
     return force @ own / mass[None], on_rollers * (rollers.radius[rollers.free] ** 2 / rollers.inertia)[None]
 
 

@@ -62,7 +62,7 @@ def approach(scene: Scene, states: State) -> Approach:
         at, _, touching = look(model, state)
         pairs = touching.sheets
         assert pairs is not None
-        c, s = heading(model, at, pairs, keep_all(model))
+        c, s = heading(model, at, pairs, None)
         return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

@@ -311,7 +311,7 @@ def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array
         return nothing, nothing
     near = slice(kept.n_circles)
     pairs, of_near = jax.tree.map(lambda v: v[near], touching.sheets), part(kept.pairs, kept.pairs, near)
-    c, s = heading(model, touching.at, pairs, kept._replace(pairs=of_near))
+    c, s = heading(model, touching.at, pairs, of_near)
     driven, speed = np.zeros(circles), jnp.zeros((circles,)).at[:n].set(touching.spin * model.rollers.radius)
     driven[:n] = model.rollers.driven
     force = pairs.touch.force * pick(jnp.asarray(driven, pairs.gap.dtype), kept.circle_index)

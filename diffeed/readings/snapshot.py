@@ -30,7 +30,7 @@ class Felt(NamedTuple):
 
 def felt_by_pairs(model: Model, pairs: Pairs, at: Pose, kept: Kept) -> Felt:
     """Each pair by itself, (bodies, features) or (pairs,)."""
-    c, s = heading(model, at, pairs, kept)
+    c, s = heading(model, at, pairs, kept.pairs)
     touch, along = pairs.touch, pairs.nx * s - pairs.ny * c  # tangent (-ny, nx) along the heading
     found = Felt(touch.force, -touch.friction * along, touch.friction, -touch.force * pairs.v_t * along)
     return Felt(*(v / NEWTON for v in found))
