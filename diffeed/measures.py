@@ -5,6 +5,7 @@ run, `outcome` is the same judgement in numbers. What must be seen in every step
 `trajectory.observed`: ask `simulate` for it with `observe=(...)`.
 """
 
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.names import hint
+from diffeed.base.words import quoted
 from diffeed.input.parts import Scene, normalise
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
@@ -27,6 +30,7 @@ from diffeed.readings.verdict import verdict as verdict
 
 SATURATED = 0.95
 """Share of the friction limit above which a contact counts as truly sliding."""
+EDGES = ("lead", "tail")
 
 
 def _seen(trajectory: Trajectory, name: str, what: str) -> Any:
@@ -83,9 +87,21 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
 # --- path ------------------------------------------------------------------------------------------------------------
 
 
-def arrival(trajectory: Trajectory, sheet: str, sensor: str, edge: str = "lead") -> Array:
-    """Time (s) at which the lead or tail crosses a sensor's gate; infinity if it never does. Needs observe=("arrivals",)."""
-    return _seen(trajectory, "arrivals", "arrival")[sheet][sensor][edge]
+def arrival(scene: Scene, trajectory: Trajectory, sheet: str, sensor: str, edge: str = "lead") -> Array:
+    """() time (s) at which an edge of a sheet crosses a sensor's gate; infinity if it never does. Needs observe=("arrivals",).
+
+    Raises ValueError for a name that the scene has not, and for an edge other than "lead" and "tail".
+    """
+    seen = _seen(trajectory, "arrivals", "arrival")
+    _known("sheet", sheet, scene.sheets)
+    _known("sensor", sensor, scene.sensors)
+    _known("edge", edge, EDGES)
+    return seen[sheet][sensor][edge]
+
+
+def _known(kind: str, name: str, names: Collection[str]) -> None:
+    if name not in names:
+        raise ValueError(f"no {kind} named {quoted(name)}{hint(name, names)}")
 
 
 def progress(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
@@ -112,13 +128,14 @@ class Attack(NamedTuple):
 
 
 def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | None = None) -> Attack:
-    """Attack angle of a sheet's head at a roller or guide (its name)."""
+    """Attack angle of a sheet's head (of the first sheet if None) at a roller or guide (its name). Raises ValueError for a name
+    that the scene has not."""
     scene = normalise(scene)
     model = _static_model(scene)
     names = model.body_names
-    if part not in names:
-        raise ValueError(f"no roller or guide named {part!r}; known: {', '.join(sorted(set(names)))}")
+    _known("roller or guide", part, set(names))
     sheet = model.layout.names[0] if sheet is None else sheet
+    _known("sheet", sheet, model.layout.names)
     k = model.layout.names.index(sheet)
     feature, rows = model.layout.starts[k] + k, np.flatnonzero(np.array(names) == part)
     gaps, into, _ = (v[:, rows, feature] for v in approach(scene, trajectory.states))

@@ -31,7 +31,7 @@ def _slip(scene: diffeed.Scene, run: Any, part: str, at: str) -> Array:
 def _arrival(scene: diffeed.Scene, run: Any, part: str, at: str) -> Array:
     """The time at which the lead passes the sensor; if it does not, the end of the run and the time that the straight
     way left would take at the commanded speed: so that a jam still says which way is better."""
-    time = measures.arrival(run, part, at)
+    time = measures.arrival(scene, run, part, at)
     feed = run.observed["feed"][part]
     left = jnp.sqrt(jnp.sum((scene.sensors[at].position - run.sheets[part].nodes[-1, 0]) ** 2))
     end = run.time[-1]

@@ -361,7 +361,7 @@ def test_pictures_of_every_kind_are_written(swept, tmp_path):
         "gradient": lambda: charts.gradient(
             [{"what": "run", "trace_seconds": 1.0, "compile_seconds": 2.0, "run_seconds": 0.1}]
         ),
-        "batch": lambda: charts.batch([{"precision": "float64", "samples": 1, "samples_per_second": 2.0}], "cpu"),
+        "batch": lambda: charts.batch([{"precision": "float64", "samples": 1, "steps_per_second": 2.0}], "cpu"),
     }
     for name, draw in made.items():
         (tmp_path / "draft").mkdir()
@@ -454,6 +454,8 @@ def test_batches_hold_samples_that_differ(tiny):
     assert many.sheets["strip"].youngs_modulus.tolist() == [1980.0, 2000.0, 2020.0]
     rows = batch.batch(tiny, (2,), ("float64", "float32"), dt=1e-3, steps=4, fewest=1)
     assert [(r["precision"], r["samples"], r["failed"]) for r in rows] == [("float64", 2, 0), ("float32", 2, 0)]
+    assert [r["steps_per_second"] * r["run_seconds"] for r in rows] == pytest.approx([2 * 4] * 2)
+    assert batch.batch(tiny, (250,), ("float64",), dt=1e-5, fewest=1)[0]["steps"] == batch.STEPS
 
 
 @pytest.mark.slow

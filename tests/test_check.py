@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import diffeed
 from diffeed.base.records import fields, replace
 from diffeed.input.check_records import SceneError, check_records, checked, make_scene
 from diffeed.input.parts import (
@@ -234,6 +235,26 @@ def test_make_scene_normalises_or_lists_every_problem():
         make_scene(sheets={"film": replace(film, length=-1.0, width="w")}, duration=-1.0)
     assert len(caught.value.problems) == 3
     assert str(caught.value).splitlines() == ["scene: 3 problems", *(f"  {p}" for p in caught.value.problems)]
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda scene: diffeed.simulate(scene, duration=1e-3, dt=1e-3, frames=2),
+        diffeed.settle,
+        lambda scene: diffeed.linearise(scene, None),
+        diffeed.explain_gradient,
+        lambda scene: diffeed.gradient_check(scene, ["sheets.film.width"]),
+        lambda scene: diffeed.value_and_gradient(lambda _, run: run.time[-1], scene),
+    ],
+)
+def test_whatever_takes_a_scene_refuses_numbers_that_none_can_have(use):
+    bad = changed(changed(SCENE, ["rollers", "drive", "radius"], -10.0), ["sheets", "film", "width"], "wide")
+    with pytest.raises(SceneError) as caught:
+        use(bad)
+    assert [p.split(" must be ")[0] for p in caught.value.problems] == ["sheets.film.width", "rollers.drive.radius"]
+    with pytest.raises(SceneError, match="this is a stack of 2 scenes, not one scene"):
+        use(diffeed.stack([SCENE, SCENE]))
 
 
 def test_scene_error_survives_pickling():

@@ -1,5 +1,7 @@
 """Measures against values known by construction."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -45,9 +47,22 @@ def run() -> diffeed.Trajectory:
 
 def test_arrivals_are_where_speed_and_distance_put_them(run):
     """5 mm at 100 mm/s after a ramp that loses 10 ms: 0.06 s, within the creep of a nip that carries next to nothing."""
-    assert float(measures.arrival(run, "a", "gate")) == pytest.approx(0.06, abs=4e-4)
-    assert float(measures.arrival(run, "a", "exit", "tail")) == pytest.approx(0.06, abs=4e-4)
-    assert measures.arrival(run, "a", "gate", "tail") == jnp.inf
+    assert float(measures.arrival(nip(), run, "a", "gate")) == pytest.approx(0.06, abs=4e-4)
+    assert float(measures.arrival(nip(), run, "a", "exit", "tail")) == pytest.approx(0.06, abs=4e-4)
+    assert measures.arrival(nip(), run, "a", "gate", "tail") == jnp.inf
+
+
+def test_names_that_a_scene_has_not_are_told(run):
+    for words, told in (
+        (("b", "gate"), 'no sheet named "b"; known: "a"'),
+        (("a", "gaet"), 'no sensor named "gaet"; did you mean "gate"?'),
+        (("a", "gate", "rear"), 'no edge named "rear"; known: "lead", "tail"'),
+    ):
+        with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
+            measures.arrival(nip(), run, *words)
+    for part, sheet, told in (("tabel", None, 'roller or guide named "tabel"'), ("table", "b", 'sheet named "b"')):
+        with pytest.raises(ValueError, match=f"no {told}"):
+            measures.attack_angle(nip(), run, part, sheet)
 
 
 def test_nip_carries_preload_and_weight(run):
@@ -130,8 +145,6 @@ def test_attack_angle_is_that_of_the_ramp():
     attack = measures.attack_angle(scene, run, "ramp")
     assert float(attack.at_contact) == pytest.approx(20.0, abs=2.0)
     assert attack.gap.shape == (101,)
-    with pytest.raises(ValueError, match="no roller or guide named 'rmap'"):
-        measures.attack_angle(scene, run, "rmap")
 
 
 def test_curvature_of_a_circle():

@@ -110,5 +110,7 @@ def test_long_path_hands_over_without_slip():
         pressed = np.asarray(track.force) > 0
         assert pressed.any(), name
         assert -np.asarray(track.gap)[pressed].min() < half, name
-    lead, tail = (float(diffeed.measures.arrival(trajectory, "paper", "exit", edge)) for edge in ("lead", "tail"))
+    lead, tail = (
+        float(diffeed.measures.arrival(scene, trajectory, "paper", "exit", edge)) for edge in ("lead", "tail")
+    )
     assert tail - lead == pytest.approx(297.0 / 1500.0, rel=0.01)

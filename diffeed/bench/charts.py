@@ -180,10 +180,10 @@ def growth(rows: list[dict[str, Any]]) -> "Axes":
 
 
 def batch(rows: list[dict[str, Any]], device: str) -> "Axes":
-    """Samples per second, and compile time, against the size of a batch."""
+    """Steps per second, and compile time, against the size of a batch."""
     series = {p: [r | {"size": r["samples"]} for r in rows if r["precision"] == p] for p in ("float64", "float32")}
     panels = [
-        ("Runs of 200 steps per second", f"Samples in a batch, {device}", "samples_per_second", series),
+        ("Steps of all samples per second", f"Samples in a batch, {device}", "steps_per_second", series),
         ("Compile time (s)", f"Samples in a batch, {device}", "compile_seconds", series),
     ]
     return _curves(panels)

@@ -129,7 +129,7 @@ def features(out: Path | None, only_equations: bool, force: bool) -> None:
 
 @bench.command(
     context_settings=SETTINGS,
-    short_help="Samples per second in a batch.",
+    short_help="How fast batches step.",
     epilog="""\b
 Examples:
   diffeed bench batch
@@ -152,14 +152,14 @@ def batch(
     quick: bool,
     force: bool,
 ) -> None:
-    """Samples per second of SCENE (film_feeder) in a batch, in float64 and float32, on the device that JAX has."""
+    """How fast batches of SCENE (film_feeder) step, in float64 and float32, on the device that JAX has."""
 
     def run(show: Any) -> dict[str, Any]:
-        from diffeed.bench.batch import QUICK_SIZES, SIZES, STEPS, batch
+        from diffeed.bench.batch import QUICK_SIZES, SIZES, batch
 
         sound = load_sound(scene, assignments, {}, dt, None)
         rows = batch(sound, sizes or (QUICK_SIZES if quick else SIZES), dt=dt, show=show)
-        return {"scene": scene, "steps": STEPS, "rows": rows}
+        return {"scene": scene, "rows": rows}
 
     _rows("batch", out, force, run, alone=False)
 

@@ -12,7 +12,7 @@ UNITS = {
     "run_seconds": "s",
     "us_per_step": "us",
     "us_per_sample_step": "us",
-    "samples_per_second": "1/s",
+    "steps_per_second": "1/s",
     "equations": "1",
     "runs": "1",
     "steps": "1",

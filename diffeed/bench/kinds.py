@@ -19,7 +19,7 @@ class Kind(NamedTuple):
 
 KINDS = {
     "batch": Kind(
-        lambda console, data: report.print_batch(console, data["rows"], data["steps"]),
+        lambda console, data: report.print_batch(console, data["rows"]),
         lambda data: charts.batch(data["rows"], data["machine"]["device"]),
     ),
     "features": Kind(

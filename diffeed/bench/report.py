@@ -169,16 +169,17 @@ def print_features(console: "Console", rows: list[dict[str, Any]], values: list[
         console.print(f"\nAs many equations without them (values, not kinds): {', '.join(values)}.")
 
 
-def print_batch(console: "Console", rows: list[dict[str, Any]], steps: int) -> None:
+def print_batch(console: "Console", rows: list[dict[str, Any]]) -> None:
     """Every size and precision."""
     headings = {
         "samples": "samples",
+        "steps": "steps",
         "compile_seconds": "compile\ns",
         "run_seconds": "run\ns",
-        "samples_per_second": "samples\nper s",
+        "steps_per_second": "steps of all\nper s",
         "us_per_sample_step": "us per step\nand sample",
     }
-    _print_rows(console, f"Batches of runs of {steps} steps", "precision", headings, rows)
+    _print_rows(console, "Batches of runs", "precision", headings, rows)
     for row in rows:
         if row.get("reason"):
             console.print(f"{row['samples']} samples, {row['precision']}: {row['reason']}")

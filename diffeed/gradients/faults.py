@@ -17,7 +17,8 @@ from diffeed.contact.kept import keep_all
 from diffeed.contact.sweep import Pairs
 from diffeed.forces.assemble import assemble
 from diffeed.forces.terms import Step as ForceStep
-from diffeed.input.parts import Scene, normalise
+from diffeed.input.check_records import checked
+from diffeed.input.parts import Scene
 from diffeed.input.paths import numbers
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
@@ -53,9 +54,9 @@ class BadStep(NamedTuple):
 def explain_gradient(scene: Scene, duration: float | None = None, dt: float = 1e-4, method: str = DEFAULT) -> BadStep:
     """Find the first step of a run whose derivative is not finite, and in it the pair and the term.
 
-    Costs some three runs and one stored state per step.
+    Costs some three runs and one stored state per step. Raises SceneError for numbers that no scene can have.
     """
-    scene = normalise(scene)
+    scene = checked(scene)
     duration = scene.duration if duration is None else duration
     steps = plan(duration, dt, 2).total
     states, bad, start = _walk(scene, duration / steps, steps, method)

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.input.parts import Scene, normalise
+from diffeed.input.check_records import checked
+from diffeed.input.parts import Scene
 from diffeed.input.paths import get, put
 from diffeed.model.build import build
 from diffeed.readings.trajectory import Trajectory
@@ -68,7 +69,7 @@ def gradient_plan(
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, but is {mode!r}")
-    scene = normalise(scene)
+    scene = checked(scene)
     if tolerance is None:
         counts = plan(scene.duration if duration is None else duration, STEP if dt is None else dt, frames)
     else:
@@ -110,9 +111,9 @@ def value_and_gradient(
     Called again with the same measure and settings, nothing is compiled; as with `jax.jit`, what the measure takes from
     outside itself then stays as it was in the first call.
 
-    Raises ValueError for a mode that does not exist or does not fit.
+    Raises SceneError for numbers that no scene can have, ValueError for a mode that does not exist or does not fit.
     """
-    scene = normalise(scene)
+    scene = checked(scene)
     if tolerance is not None:
         refuse_control(tolerance, most_steps, frames, method)
     how = (duration, dt, frames, method, tuple(sorted(observe)), most_steps)

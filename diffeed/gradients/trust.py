@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.input.parts import Scene, normalise
+from diffeed.input.check_records import checked
+from diffeed.input.parts import Scene
 from diffeed.input.paths import get, put, unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run.rollout import MOST_STEPS, simulate
@@ -89,7 +90,7 @@ def gradient_check(
     a designer would make, by path; 0.2 % of the value otherwise (0.02 mm for a roller of 10 mm). `times`: where to report
     (the nearest frames); None: the end. `samples` runs are spread over each span.
     """
-    scene = normalise(scene)
+    scene = checked(scene)
     start = np.array([float(get(scene, p)) for p in paths])
     spans = spans or {}
     widths = np.array([spans.get(p, 2e-3 * abs(v) or 1e-3) for p, v in zip(paths, start, strict=True)])

@@ -8,7 +8,7 @@ from typing import Any
 
 from diffeed.base.records import fields
 from diffeed.base.words import key_text, name_problem
-from diffeed.input.check_rules import RULES, bars_of, size_problems
+from diffeed.input.check_rules import RULES, bars_of, size_problems, stack_problems
 from diffeed.input.check_values import VARYING, Field, number_problem, show, word_problem
 from diffeed.input.parts import Profile, Scene, Sheet, normalise
 
@@ -33,8 +33,9 @@ def check_records(scene: Any) -> list[str]:
     """
     if not isinstance(scene, Scene):
         return [f"a Scene is needed, but this is {show(scene)}"]
-    too_many = list(size_problems(scene))  # more would take time and memory to look at
-    return too_many or list(_record_problems("", scene, scene))
+    # Of a scene that is too large more would take time and memory to look at.
+    as_a_whole = [*size_problems(scene), *stack_problems(scene)]
+    return as_a_whole or list(_record_problems("", scene, scene))
 
 
 def checked(scene: Scene) -> Scene:

@@ -60,6 +60,13 @@ def size_problems(scene: Scene) -> Iterator[str]:
         yield problem
 
 
+def stack_problems(scene: Scene) -> Iterator[str]:
+    """Of what `stack` made: every number of it would be one."""
+    found = measure(scene.gravity)
+    if found is not None and len(found.shape) == 2:
+        yield f"this is a stack of {found.shape[0]} scenes, not one scene: jax.vmap takes it (of a function of one scene)"
+
+
 def _count(scene: Scene, sections: Iterable[str]) -> int:
     found = (getattr(scene, s) for s in sections)
     return sum(len(parts) for parts in found if isinstance(parts, dict))

@@ -16,6 +16,7 @@ from diffeed.contact.crossing import misplaced
 from diffeed.contact.kept import keep_all
 from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
 from diffeed.faults.judge import severity
+from diffeed.input.check_records import checked
 from diffeed.input.check_values import show
 from diffeed.input.packing import bare, jit_of_scene
 from diffeed.input.parts import Scene, normalise, warn_if_single
@@ -89,12 +90,12 @@ def simulate(
     if None) and at most `most_steps` together, which is static: a derivative passes through that many places, a run that
     needs more fails.
 
-    Raises ValueError for a static argument that makes no sense, TypeError for what is no scene; call `diffeed.check` for the
-    scene's own numbers.
+    Raises TypeError for what is no scene, SceneError for numbers that none can have (as far as they are not traced), ValueError
+    for another argument that makes no sense; `diffeed.check` judges the scene's geometry too.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"simulate takes a Scene (of diffeed.load_scene or diffeed.scene), but this is {show(scene)}")
-    scene = normalise(scene)
+    scene = checked(scene)
     warn_if_single(scene)
     duration = scene.duration if duration is None else float(duration)
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST

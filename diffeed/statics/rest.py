@@ -18,8 +18,9 @@ from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
 from diffeed.contact.bodies import interpolate
 from diffeed.contact.kept import keep_all
+from diffeed.input.check_records import checked
 from diffeed.input.packing import jit_of_scene
-from diffeed.input.parts import Scene, normalise, warn_if_single
+from diffeed.input.parts import Scene, warn_if_single
 from diffeed.model.arrays import Drives, Model, Path
 from diffeed.model.build import build
 from diffeed.pair.law import Surface
@@ -72,9 +73,9 @@ def settle(scene: Scene, near: State | None = None) -> State:
     What friction holds still counts from where the scene's own records put things, so that the answer is the same.
 
     Differentiable by the implicit-function theorem. Where no rest state is found (a sheet in free fall) the state's
-    numbers are NaN, so that a run started from it fails and says so.
+    numbers are NaN, so that a run started from it fails and says so. Raises SceneError for numbers that no scene can have.
     """
-    scene = normalise(scene)
+    scene = checked(scene)
     warn_if_single(scene)
     return _settle(scene, near)
 

@@ -12,8 +12,9 @@ from diffeed.base.smooth import divide
 from diffeed.chain.state import State
 from diffeed.contact import stick
 from diffeed.contact.kept import keep_all
+from diffeed.input.check_records import checked
 from diffeed.input.packing import jit_of_scene
-from diffeed.input.parts import Scene, normalise
+from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
 from diffeed.readings.snapshot import look
@@ -64,9 +65,10 @@ def linearise(scene: Scene, state: State) -> Linearisation:
 
     Stiffness and damping come from the exact derivative of the forces, geometric stiffness of joint, clamp and contact
     forces included, made symmetric: `modes` and `buckling_factors` are those of the conservative part. Friction counts as
-    it acts there: regularised, as a damper; sticking, as a tangential spring under the normal force of that state.
+    it acts there: regularised, as a damper; sticking, as a tangential spring under the normal force of that state. Raises
+    SceneError for numbers that no scene can have.
     """
-    return _linearise(normalise(scene), state)
+    return _linearise(checked(scene), state)
 
 
 @jit_of_scene
