@@ -56,7 +56,7 @@ def test_names_that_a_scene_has_not_are_told(run):
     for words, told in (
         (("b", "gate"), 'no sheet named "b"; known: "a"'),
         (("a", "gaet"), 'no sensor named "gaet"; did you mean "gate"?'),
-        (("a", "gate", "rear"), 'no edge named "rear"; known: "lead", "tail"'),
+        (("a", "gate", "side"), 'no edge named "side"; known: "lead", "tail"'),
     ):
         with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
             measures.arrival(nip(), run, *words)
