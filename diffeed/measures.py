@@ -186,9 +186,8 @@ def energy_balance(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
     the step itself lost (`numerical`: an implicit step damps; it shrinks with dt). What moving guides, rollers and clamps put
     in is not told apart: it counts as won there. What friction that sticks holds for a while (below mu F stick_displacement
     per contact) counts as lost in friction, and as won back. Needs observe=("energy",)."""
-    work = dict(_seen(trajectory, "energy", "energy_balance"))
-    total = energy(scene, trajectory)["total"]
-    stored = total[-1] - total[0]
+    work = _seen(trajectory, "energy", "energy_balance")
+    stored = work["stored"]
     losses = {f"lost in {k}": work[k] for k in ("friction", "contact", "joints", "rollers")}
     put_in = {"work of drives": work["drives"]} | ({"work of loads": work["loads"]} if scene.loads else {})
     numerical = sum(put_in.values()) - stored - sum(losses.values(), jnp.zeros(()))

@@ -11,6 +11,7 @@ import numpy as np
 
 from diffeed import plot_style
 from diffeed.input.parts import Scene
+from diffeed.model.rollers import is_driven
 from diffeed.show import outlines, plot_machine
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def machine(
 def slip(scene: Scene, trajectory: Any, ax: "Axes | None" = None) -> "Axes":
     """Slip speed between each driven roller and the sheet, drawn while they touch (Figure 11 of the source paper)."""
     ax, trajectory = plot_style.axes(ax), jax.device_get(trajectory)
-    driven = [name for name in sorted(scene.rollers) if outlines.is_driven(scene.rollers[name])]
+    driven = [name for name in sorted(scene.rollers) if is_driven(scene.rollers[name])]
     values = {name: _slip_in_contact(trajectory.rollers[name]) for name in driven}
     for name in driven:
         ax.plot(outlines.time(trajectory), values[name], label=name, **plot_style.lines(scene.rollers)[name])

@@ -13,10 +13,13 @@ import numpy as np
 from jax import Array
 
 import diffeed
+from diffeed.base.records import replace
+from diffeed.readings.trajectory import FRAMED
 from diffeed.run.rollout import at_start
 from optimize.asked import values_of
 from optimize.problem import Problem, objective_of, simulate
 from optimize.programs import kept
+from optimize.variables import PLACES
 
 
 class Blame(NamedTuple):
@@ -46,7 +49,7 @@ def blame(problem: Problem, unit: np.ndarray, medium: int = 0) -> Blame:
     places, sizes = {}, {}
     for part in parts_of(scene):
         held = diffeed.get(slope, part)
-        for name in ("center", "start", "end"):
+        for name in PLACES:
             if hasattr(held, name):
                 places[f"{part}.{name}"] = np.asarray(getattr(held, name))
         if hasattr(held, "radius"):
@@ -64,18 +67,19 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
     scene = problem.scene(unit, medium)
     study = problem.study
     duration = study.duration or scene.duration
-    piece = duration / spans
+    piece, frames = duration / spans, 2 + max(0, study.frames - 2) // spans
 
     def of(copies: diffeed.Scene) -> Array:
         begun = at_start(jax.tree.map(lambda v: v[0], copies), problem.observe)
 
         def go_on(resume: Any, copy: diffeed.Scene) -> tuple[Any, diffeed.Trajectory]:
-            run = diffeed.simulate(copy, piece, frames=2, **study.stepping, initial=resume, observe=problem.observe)
+            run = diffeed.simulate(
+                copy, piece, frames=frames, **study.stepping, initial=resume, observe=problem.observe
+            )
             return run.final, run
 
         _, runs = jax.lax.scan(jax.checkpoint(go_on), begun, copies)
-        scene, run = jax.tree.map(lambda v: v[-1], (copies, runs))
-        return objective_of(problem, values_of(problem.goals, scene, run))
+        return objective_of(problem, values_of(problem.goals, jax.tree.map(lambda v: v[-1], copies), _joined(runs)))
 
     copies = jax.tree.map(lambda v: jnp.broadcast_to(v, (spans, *v.shape)), scene)
     slope = kept(("arising", problem.key, spans), lambda: jax.jit(jax.grad(of)))(copies)
@@ -84,9 +88,19 @@ def arising(problem: Problem, unit: np.ndarray, spans: int = 12, medium: int = 0
     return Arising(parts, np.linspace(0.0, duration, spans + 1), share)
 
 
+def _joined(runs: diffeed.Trajectory) -> diffeed.Trajectory:
+    """The whole run of consecutive ones, (runs, ...) each, as `readings.trajectory.join` makes it, inside a trace."""
+
+    def along(v: Array) -> Array:
+        return jnp.concatenate([v[0, :1], v[:, 1:].reshape(-1, *v.shape[2:])])
+
+    frames = {name: jax.tree.map(along, getattr(runs, name)) for name in FRAMED}
+    return replace(jax.tree.map(lambda v: v[-1], runs), **frames)
+
+
 def _size(held: Any) -> np.ndarray:
     """(spans,) length of the derivative with respect to a part's places."""
-    found = [np.asarray(getattr(held, n)) for n in ("center", "start", "end") if hasattr(held, n)]
+    found = [np.asarray(getattr(held, n)) for n in PLACES if hasattr(held, n)]
     total = sum(np.sum(v**2, axis=-1) for v in found)
     return np.sqrt(total)
 

@@ -266,6 +266,7 @@ def _bar(problem: Any) -> Iterator[Callable[..., None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optimize.descent import stages_of
+    from optimize.problem import SLACK
 
     screen = console(stderr=True)
     columns = (TextColumn("{task.fields[done]}"), BarColumn(), TimeRemainingColumn())
@@ -274,7 +275,7 @@ def _bar(problem: Any) -> Iterator[Callable[..., None]]:
         task = bar.add_task("", total=total, done="compiling")
 
         def show(problem: Any, progress: Any, line: Any) -> None:
-            kept = "" if line.violation <= 0.01 else f", limits missed by {line.violation:.2g}"
+            kept = "" if line.violation <= SLACK else f", limits missed by {line.violation:.2g}"
             bar.update(
                 task,
                 completed=line.iteration,

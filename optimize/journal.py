@@ -135,11 +135,6 @@ class Journal:
             ) from error
 
 
-def read_history(folder: Path) -> list[dict[str, Any]]:
-    """The lines of a search."""
-    return [json.loads(line) for line in (folder / HISTORY).read_text("utf-8").splitlines()]
-
-
 _ARRAYS = tuple(f.name for f in dataclasses.fields(Progress) if f.name not in ("state", "counts", "reason"))
 
 

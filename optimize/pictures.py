@@ -7,6 +7,7 @@ import numpy as np
 import diffeed
 from diffeed import plot, plot_style
 from optimize.blame_map import Arising, Blame, gain_of
+from optimize.problem import SLACK
 from optimize.variables import unit
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def history(lines: list[dict[str, Any]], ax: "Axes | None" = None) -> "Axes":
     k = np.array([line["iteration"] for line in lines])
     now = np.array([_number(line["objective"]) for line in lines])
     best = np.array([_number(line["best"]) for line in lines])
-    broken = np.array([_number(line["violation"]) for line in lines]) > 0.01
+    broken = np.array([_number(line["violation"]) for line in lines]) > SLACK
     ax.plot(k, now, label="objective", **plot_style.line(5))
     if np.isfinite(best).any():
         ax.plot(k, best, label="best that keeps the limits", **plot_style.line(0))
@@ -40,7 +41,7 @@ def variables(problem: Any, lines: list[dict[str, Any]], ax: "Axes | None" = Non
     ax = plot_style.axes(ax)
     k = [line["iteration"] for line in lines]
     values = np.array([[line["values"][name] for name in problem.names] for line in lines])
-    for i, (name, path) in enumerate(zip(problem.names, unit(problem.variables, values).T, strict=True)):
+    for i, (name, path) in enumerate(zip(problem.names, np.asarray(unit(problem.variables, values)).T, strict=True)):
         ax.plot(k, path, label=name, **plot_style.line(i))
     ax.set_ylim(-0.03, 1.03)
     plot_style.label(ax, "Iteration", "Place within the bounds")

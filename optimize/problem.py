@@ -82,7 +82,7 @@ class Problem:
         moved = np.clip(np.asarray(start) + sizes, *np.array([v.bounds for v in self.variables]).T)
         back = np.asarray(start) - (moved - np.asarray(start) < 0.5 * np.array(sizes)) * sizes
         ends = np.where(moved - np.asarray(start) < 0.5 * np.array(sizes), back, moved)
-        return np.abs(free.unit(self.variables, ends) - self.start)
+        return np.abs(np.asarray(free.unit(self.variables, ends)) - self.start)
 
     def deviations(self, iteration: int = 0) -> np.ndarray:
         """(samples, inputs) what scatters in the machines of an iteration; (1, 0) for a study without tolerances."""
@@ -159,8 +159,8 @@ def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
 
     def one(scene: diffeed.Scene, deviation: Array) -> Seen:
         moved = free.applied(scene, problem.variables, free.physical(problem.variables, unit))
-        moved = sampled(problem.inputs, moved, deviation)
-        return seen_in(problem, moved, simulate(problem, eased(moved, factor), settings.duration))
+        moved = eased(sampled(problem.inputs, moved, deviation), factor)
+        return seen_in(problem, moved, simulate(problem, moved, settings.duration))
 
     made = jnp.asarray(made)
     if len(problem.scenes) == 1 and made.shape[0] == 1:
@@ -243,7 +243,8 @@ def make_problem(
         problems += _media_problems(scenes)
     if problems:
         raise StudyError(problems, where)
-    start = free.unit(tuple(study.variables.values()), [free.start_of(v, base) for v in study.variables.values()])
+    variables = tuple(study.variables.values())
+    start = np.asarray(free.unit(variables, [free.start_of(v, base) for v in variables]))
     weights = np.array([m.weight for m in study.media.values()] or [1.0])
     return Problem(
         study,
@@ -299,7 +300,8 @@ def _setting_problems(study: Study) -> Iterator[str]:
     from optimize.optimisers import OPTIMISERS
 
     if study.method not in diffeed.METHODS:
-        yield f'method must be one of {", ".join(diffeed.METHODS)}, but is "{study.method}"'
+        known, near = ", ".join(diffeed.METHODS), nearest(study.method, diffeed.METHODS)
+        yield f'method must be one of {known}, but is "{study.method}"{near}'
     if study.robust.redraw and study.search.name == "lbfgs":
         yield 'robust.redraw must be false for "lbfgs": its line search compares points'
     if study.search.gradient == "expected" and study.search.name == "lbfgs":

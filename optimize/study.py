@@ -61,12 +61,12 @@ class Medium(Record):
 
 
 class Stage(Record):
-    """A part of the search with easier settings: smoothing and stick speed times `smoothing`, another run length."""
+    """A part of the search with easier settings: rounder corners (`smoothing`), another run length."""
 
     iterations: Iterations
     """Iterations of this stage."""
     smoothing: Annotated[float, Field(ge=1), plain] = 1.0
-    """Smoothing lengths and stick speeds times this."""
+    """Smoothing lengths, stick speeds and stick displacements times this."""
     duration: Positive | None = None
     """s: length of its runs; the study's if not given."""
 

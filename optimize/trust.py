@@ -25,22 +25,11 @@ def check_study(problem: Problem, samples: int = 64) -> diffeed.GradientCheck:
     spans = np.minimum(np.where(moved > start, moved - start, np.inf), np.where(back < start, start - back, np.inf))
 
     def of(values: Array) -> Array:
-        seen = look(problem, _unit(problem, values), Settings())
+        seen = look(problem, free.unit(problem.variables, values), Settings())
         return over_media(problem, seen.objective)[None]
 
     duration = problem.study.duration or problem.scenes[0].duration
     return diffeed.check_function(of, start, problem.names, problem.units, spans, np.array([duration]), samples=samples)
-
-
-def _unit(problem: Problem, values: Array) -> Array:
-    """Traceable inverse of `variables.physical`."""
-    low, high = np.array([v.bounds for v in problem.variables], dtype=float).T
-    log = np.array([v.transform == "log" for v in problem.variables])
-    safe = jnp.where(log, values, 1.0)
-    base = np.where(log, low, 1.0)
-    return jnp.where(
-        log, jnp.log(safe / base) / np.log(np.where(log, high / base, np.e)), (values - low) / (high - low)
-    )
 
 
 def write_check(folder: Path, found: diffeed.GradientCheck) -> list[str]:

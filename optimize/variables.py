@@ -29,14 +29,14 @@ def physical(variables: Sequence[Variable], unit: Array) -> Array:
     return jnp.where(log, safe * ratio**unit, straight)
 
 
-def unit(variables: Sequence[Variable], values: Any) -> np.ndarray:
+def unit(variables: Sequence[Variable], values: Any) -> Array:
     """The inverse of `physical`."""
     low, high, log = _bounds(variables)
-    values = np.asarray(values, dtype=float)
-    safe = np.where(log, values, 1.0)
+    values = jnp.asarray(values, float)
+    safe = jnp.where(log, values, 1.0)
     straight = (values - low) / (high - low)
     base = np.where(log, low, 1.0)
-    return np.where(log, np.log(safe / base) / np.log(np.where(log, high / base, math.e)), straight)
+    return jnp.where(log, jnp.log(safe / base) / np.log(np.where(log, high / base, math.e)), straight)
 
 
 def _bounds(variables: Sequence[Variable]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -80,24 +80,30 @@ def shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> di
     """The scene with a roller or guide moved by `value` mm along a direction."""
     way = np.asarray(direction, dtype=float)
     way = way / np.linalg.norm(way)
-    for path in places(scene, part):
+    for path in [*places(scene, part), *_pivot(scene, part)]:
         scene = diffeed.put(scene, path, diffeed.get(scene, path) + value * way)
     return scene
 
 
 def turned(scene: diffeed.Scene, part: str, about: Any, value: Array) -> diffeed.Scene:
     """The scene with a roller or guide turned by `value` degrees about a point."""
-    pivot, angle = np.asarray(about, dtype=float), jnp.deg2rad(value)
+    centre, angle = np.asarray(about, dtype=float), jnp.deg2rad(value)
     c, s = jnp.cos(angle), jnp.sin(angle)
-    for path in places(scene, part):
-        x, y = diffeed.get(scene, path) - pivot
-        scene = diffeed.put(scene, path, pivot + jnp.stack([c * x - s * y, s * x + c * y]))
+
+    def by_angle(way: Array) -> Array:
+        x, y = way[..., 0], way[..., 1]
+        return jnp.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+    for path in [*places(scene, part), *_pivot(scene, part)]:
+        scene = diffeed.put(scene, path, centre + by_angle(diffeed.get(scene, path) - centre))
     held = diffeed.get(scene, part)
     if hasattr(held, "start_angle"):
         scene = diffeed.put(scene, f"{part}.start_angle", held.start_angle + value)
     if hasattr(held, "direction"):  # the travel of a pinch roller turns with its nip
-        x, y = held.direction
-        scene = diffeed.put(scene, f"{part}.direction", jnp.stack([c * x - s * y, s * x + c * y]))
+        scene = diffeed.put(scene, f"{part}.direction", by_angle(held.direction))
+    if _pivot(scene, part):  # and so does the way that a part is moved
+        path = f"{part}.motion.displacement"
+        scene = diffeed.put(scene, path, by_angle(diffeed.get(scene, path)))
     return scene
 
 
@@ -105,6 +111,11 @@ def places(scene: diffeed.Scene, part: str) -> list[str]:
     """Paths of the points that place a roller or guide."""
     held = diffeed.get(scene, part)
     return [f"{part}.{name}" for name in PLACES if hasattr(held, name)]
+
+
+def _pivot(scene: diffeed.Scene, part: str) -> list[str]:
+    """The path of the point about which a part swings, if it does."""
+    return [f"{part}.motion.pivot"] if getattr(diffeed.get(scene, part), "motion", None) is not None else []
 
 
 def unit_text(scene: diffeed.Scene, variable: Moved) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from diffeed.input.parts import SECTIONS, Scene, normalise
-from diffeed.show.outlines import guide, is_driven, turning, vector
+from diffeed.model.rollers import is_driven
+from diffeed.show.outlines import guide, turning, vector
 
 FEEDER = Path(__file__).parent.parent / "diffeed" / "scenes" / "film_feeder.toml"
 BEND, STRAIGHT, RADIUS = np.deg2rad(60.0), 140.0, 79.0  # mm: the sheet's path is straight, bent, straight

@@ -132,7 +132,7 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
     import diffeed
 
     offered = {"measures", "plot", "player", "tuning", "schema", "plot_style", "run.rollout"}
-    offered |= {"readings.agreement", "input.stacking"}
+    offered |= {"readings.agreement", "readings.trajectory", "input.stacking"}
     for path in (PACKAGE.parent / "optimize").rglob("*.py"):
         modules_asked = {name for name in imported(path) - {"__init__"} if not name.startswith("base.")}
         top = {

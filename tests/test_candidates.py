@@ -57,9 +57,9 @@ def seen(model, state):
     at, world, kept = pose(model, state), bodies(model, state, state.time, state.time), keep_all(model)
     rows, found = features(model, at), []
     for family, near in (
-        ("circles", circles_near(model, rows, world, kept)),
-        ("lines", guides_near(model, rows, world, kept._replace(arcs=None))),
-        ("arcs", guides_near(model, rows, world, kept._replace(lines=None))),
+        ("circles", circles_near(rows, world, kept)),
+        ("lines", guides_near(rows, world, kept._replace(arcs=None))),
+        ("arcs", guides_near(rows, world, kept._replace(lines=None))),
     ):
         found.append((watch(model, at, world, near, kept, family), (near.gap < 0) & (near.weight > 0)))
     return found

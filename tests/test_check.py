@@ -212,6 +212,17 @@ def test_what_the_default_precision_turns_into_zero_or_infinity_is_refused():
     assert problems_with("rollers.pinch.radius", 1e-300) == []
 
 
+def test_numbers_of_numpy_are_numbers():
+    """As a loop over an array gives them; and they have derivatives."""
+    scene = make_scene(
+        sheets={"film": replace(SCENE.sheets["film"], length=np.int64(200), width=np.float32(35.0), bars=np.int64(4))},
+        rollers={"drive": FixedRoller(center=(np.int64(0), np.float32(-10.0)), radius=np.int64(10))},
+    )
+    leaves = jax.tree.leaves(scene)
+    assert all(isinstance(v, jax.Array) and v.dtype == jnp.float64 for v in leaves)
+    assert float(jax.grad(lambda s: s.rollers["drive"].radius ** 2)(scene).rollers["drive"].radius) == 20.0
+
+
 def test_traced_numbers_pass_but_their_shape_is_checked():
     def judge(x):
         pair = problems_with("rollers.pinch.center", (x, 1.0))

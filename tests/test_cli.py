@@ -18,6 +18,7 @@ import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from packed import unpack
 from rich.console import Console
 
 import diffeed
@@ -26,7 +27,6 @@ from diffeed.base import folders
 from diffeed.bench.cli import bench
 from diffeed.command import earlier, outputs, report
 from diffeed.run import pieces
-from diffeed.show import player_data
 from optimize.cli import main as optimize_main
 
 ROOT = Path(__file__).parent.parent
@@ -180,7 +180,7 @@ def test_a_changed_machine_is_held_against_the_run_before(finished, place):
     shown = json.loads(data)
     assert shown["labels"] == ["before", "after"]
     with np.load(place / "results/first/data.npz") as first:
-        nodes = player_data.unpack(shown["runs"][0]["sheets"]["strip"]["nodes"])
+        nodes = unpack(shown["runs"][0]["sheets"]["strip"]["nodes"])
         np.testing.assert_array_equal(nodes, np.float32(first["sheets.strip.nodes"]))
     assert shown["runs"][1]["rollers"]["pinch"]["force"] != shown["runs"][0]["rollers"]["pinch"]["force"]
 

@@ -143,6 +143,16 @@ def test_running_out_of_steps_is_a_failure(rest):
     assert float(run.time[-1]) == float(run.failure.time), "a failed run stands still"
 
 
+@pytest.mark.parametrize("most", [25, 40])
+def test_no_more_steps_than_allowed(most):
+    """In a run that would take some hundreds: blocks of steps and frames are no excuse."""
+    sheet = diffeed.Sheet(length=40.0, thickness=0.1, width=100.0, density=8e-7, youngs_modulus=3000.0, bars=4)
+    fall = diffeed.Scene(sheets={"a": sheet}, initial="given", duration=0.2)
+    run = diffeed.simulate(fall, tolerance=1e-7, frames=21, most_steps=most)
+    assert CAUSES[int(run.failure.cause)] == "the tolerance asks for more steps than `most_steps` allows"
+    assert int(run.steps) == most
+
+
 @pytest.mark.slow
 def test_a_derivative_of_a_failed_run_says_so():
     """The steps that are differentiated are those that were taken; that the run failed after them must not be lost."""

@@ -59,7 +59,7 @@ def growth(scene: Scene, kick: np.ndarray):
     as a function of the step; and what `explicit_limit` says."""
     scene = normalise(scene)
     model, _, state, *_ = prepare(scene)
-    start = Resume(**begin(model, scene, replace(state, rate=jnp.asarray(kick)), ())._asdict())
+    start = begin(model, scene, replace(state, rate=jnp.asarray(kick)), ())
 
     @jax.jit
     def factor(dt: jax.Array) -> jax.Array:
@@ -190,10 +190,11 @@ def test_check_refuses_what_lies_above_the_limit_and_nothing_below():
 
 
 def test_a_step_that_nobody_gave_is_judged_too():
-    """A run takes 1e-4 s if none is given; `frames` say that a run is meant."""
+    """A run takes 1e-4 s if none is given; `frames` or a method say that a run is meant."""
     scene = free(40)
     assert WAVE / finite(40) < STEP, "or this shows nothing"
     (problem,) = diffeed.check(scene, None, "runge_kutta", frames=11)
     assert "dt must be at most" in problem
     assert "but is 0.0001;" in problem
-    assert diffeed.check(scene, None, "runge_kutta") == []
+    assert diffeed.check(scene, None, "runge_kutta") == [problem]
+    assert diffeed.check(scene) == []

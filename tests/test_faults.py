@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import ArcGuide, CircleGuide, Clamp, Contact, FixedRoller, LineGuide, Load, Motion, Scene, Sheet, measures
+from diffeed import (
+    ArcGuide,
+    CircleGuide,
+    Clamp,
+    Contact,
+    FixedRoller,
+    LineGuide,
+    Load,
+    Motion,
+    MovableRoller,
+    Scene,
+    Sheet,
+    measures,
+)
 from diffeed.base.records import replace
 from diffeed.chain.state import initial_state
 from diffeed.contact.crossing import misplaced
@@ -17,10 +30,12 @@ from diffeed.faults.causes import (
     FROM_NOWHERE,
     FROZEN,
     LEAPT,
+    NO_REST,
     NOT_FINITE,
     REMEDIES,
     SINGULAR,
     TOO_DEEP,
+    TOO_FAST,
     UNRESOLVED,
 )
 from diffeed.input.parts import normalise
@@ -168,7 +183,54 @@ def test_clamps_that_contradict_each_other(method):
 
 def test_numbers_that_stop_being_finite():
     """A modulus that is no number comes past no check; nothing touches, nothing is clamped."""
-    failed(diffeed.simulate(machine(strip(youngs_modulus=np.nan)), duration=0.01, dt=1e-3, frames=3), NOT_FINITE)
+
+    @jax.jit
+    def run(modulus):
+        return diffeed.simulate(machine(strip(youngs_modulus=modulus)), duration=0.01, dt=1e-3, frames=3)
+
+    failed(run(np.nan), NOT_FINITE)
+    assert bool(run(300.0).ok)
+
+
+def test_an_idle_roller_that_spins_ever_faster():
+    """Drag over inertia of 1e5/s under an explicit step of 1e-4 s: each multiplies the spin by hundreds. Nothing touches."""
+    idle = FixedRoller(center=(0.0, -500.0), radius=5.0, spin=10.0, inertia=1.0, bearing_drag=100.0)
+    scene = machine(strip(), rollers={"idle": idle}, gravity=(0.0, 0.0))
+    failed(diffeed.simulate(scene, duration=0.01, dt=1e-4, frames=3, method="runge_kutta"), TOO_FAST)
+    assert bool(diffeed.simulate(scene, duration=0.01, dt=1e-4, frames=3).ok)
+
+
+def test_rollers_that_are_pressed_through_each_other_are_blamed_themselves():
+    """A pinch of 500 N on a contact of 100 N/mm gives way by more than half its radius, far from a strip that lies on a floor."""
+    rollers = {
+        "drive": FixedRoller(center=(0.0, -500.0), radius=5.0, angular_speed=0.0),
+        "pinch": MovableRoller(center=(0.0, -489.5), direction=(0.0, 1.0), radius=5.0, mass=1.0, preload=500.0),
+    }
+    floor = LineGuide(start=(-50.0, 0.0), end=(50.0, 0.0))
+    scene = machine(strip(lead=(10.0, 0.249)), Contact(stiffness=100.0), rollers=rollers, guides={"floor": floor})
+    run = diffeed.simulate(scene, duration=0.2, dt=1e-4, frames=5)
+    failed(run, TOO_DEEP)
+    assert run.failure.parts[int(run.failure.part)] in ("rollers.drive", "rollers.pinch")
+
+
+@pytest.mark.parametrize("clamps", [{}, {"pin": Clamp(sheet="strip", at="lead", free="y")}])
+def test_a_start_from_a_rest_that_was_not_found(clamps):
+    """A strip in free fall has none: the state of `settle` says so to the run that begins with it."""
+    scene = machine(strip(), clamps=clamps)
+    run = diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=3, initial=diffeed.settle(scene))
+    assert run.failure.describe() == f"at 0 s: {CAUSES[NO_REST]}"
+
+
+def test_what_was_observed_of_energy_from_nowhere_is_taken_back():
+    """Of the block of steps that is not believed: what is observed ends where the state does."""
+    run = diffeed.simulate(
+        bouncing(3e4), duration=0.02, dt=2e-5, frames=3, method="runge_kutta", observe=("feed", "energy")
+    )
+    failed(run, FROM_NOWHERE)
+    end = float(run.final.state.time)
+    assert end < float(run.failure.time)
+    assert float(run.final.open["energy"].time) <= end
+    assert float(run.error) < 1e-2
 
 
 @pytest.mark.filterwarnings("ignore::diffeed.SinglePrecision")
@@ -331,3 +393,15 @@ def test_a_driven_roller_puts_energy_in():
         )
         assert bool(run.ok), run.failure.describe()
         assert float(run.states.vx[-1, 0]) > 1000.0
+
+
+@pytest.mark.parametrize("sweep", [359.0, 360.0])
+def test_a_bar_across_a_drum_is_seen_whether_or_not_the_drum_has_ends(sweep):
+    drum = ArcGuide(center=(0.0, 0.0), radius=15.0, start_angle=-89.0, sweep=sweep, side="outside")
+    scene = machine(
+        strip(lead=(0.0, 22.0), heading=90.0, length=60.0, bars=6), guides={"drum": drum}, gravity=(0.0, 0.0)
+    )
+    assert any(p.startswith("guides.drum: a bar lies across it at the start") for p in diffeed.check(scene))
+    failed(diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=3), ACROSS, "guides.drum")
+    beside = replace(scene, sheets={"strip": replace(scene.sheets["strip"], lead=jnp.array([20.0, 22.0]))})
+    assert diffeed.check(beside) == []

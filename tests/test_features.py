@@ -177,6 +177,32 @@ def test_a_taut_sheet_holds(case):
     assert float(run.sheets["a"].nodes[-1, 0, 0]) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("method", ["linear_euler", "midpoint", "runge_kutta"])
+def test_a_wall_that_turns_takes_its_sheet_along(method):
+    """Evenly, without gravity: in the end the held bar follows without a lag, for a wall's damper feels the turning of the bar
+    against the wall. A damper against the world would hold it back by damping/stiffness times the speed, 0.1 rad here."""
+    speed, lasts = 2.0, 0.6
+    motion = Motion(times=[0.0, 1.0], displacement=[[0.0, 0.0]] * 2, rotation=[0.0, np.rad2deg(speed)])
+    scene = Scene(
+        sheets={"a": paper(bars=2, structural_damping=0.05, rates=(speed, speed))},
+        clamps={"wall": Clamp(sheet="a", at="tail", kind="wall", motion=motion)},
+        gravity=(0.0, 0.0),
+        initial="given",
+    )
+    dt = 1e-4 if method == "runge_kutta" else 1e-3
+    run = diffeed.simulate(scene, duration=lasts, dt=dt, frames=4, method=method, observe=("energy",))
+    assert run.ok, run.failure.describe()
+    np.testing.assert_allclose(run.sheets["a"].headings[-1], speed * lasts, atol=2e-3)
+    np.testing.assert_allclose(run.sheets["a"].rates[-1], speed, rtol=2e-2)
+    assert 0.0 < float(run.observed["energy"]["joints"]) < 0.01  # N mm, of the start; a damper against the world: 0.6
+
+
+def test_speed_is_along_the_lead_bar():
+    scene = Scene(sheets={"a": paper(bars=2, headings=(90.0, 80.0), speed=100.0)}, initial="given", gravity=(0.0, 0.0))
+    run = diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=2)
+    np.testing.assert_allclose(run.sheets["a"].velocities[0, 0], [0.0, 100.0], atol=1e-9)
+
+
 def test_a_plain_second_call_traces_nothing():
     scene = Scene(sheets={"a": paper()}, initial="given")
     traced = []

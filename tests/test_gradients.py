@@ -1,5 +1,7 @@
 """Gradients of runs: the two modes, the check against differences and trend, and what breaks one."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +101,23 @@ def test_a_sound_gradient_has_nothing_to_explain():
     found = diffeed.explain_gradient(nip(), duration=0.005, dt=5e-4)
     assert found.step == -1
     assert "finite" in found.sentence()
+
+
+def test_what_has_no_gradient_is_said():
+    scene = nip()
+    with pytest.raises(ValueError, match="method must be one of linear_euler"):
+        diffeed.explain_gradient(scene, method="euler")
+    for path, said in (
+        ("contacts.default.static_ratio", "is not a number: it is not given"),
+        ("sheets.strip.bars", "is not a number"),
+        ("rollers.drive", "is not a number"),
+    ):
+        for use in (
+            lambda path: diffeed.gradient_check(scene, [path]),
+            lambda path: diffeed.value_and_gradient(fed, scene, [path]),
+        ):
+            with pytest.raises(ValueError, match=f'"{re.escape(path)}" {said}'):
+                use(path)
 
 
 def test_a_start_without_derivative_is_said_in_a_sentence():

@@ -110,6 +110,18 @@ def test_energy_balance_closes_as_the_step_shrinks():
     assert gaps[1] < 0.1
 
 
+def test_the_energy_balance_of_a_run_that_goes_on_is_that_of_the_whole():
+    asked = {"dt": 1e-4, "observe": ("energy",)}
+    whole = diffeed.simulate(nip(), duration=0.04, frames=5, **asked)
+    half = diffeed.simulate(nip(), duration=0.02, frames=3, **asked)
+    rest = diffeed.simulate(nip(), duration=0.02, frames=3, initial=half.final, **asked)
+    expected = measures.energy_balance(nip(), whole)
+    for name, value in measures.energy_balance(nip(), rest).items():
+        assert float(value) == pytest.approx(float(expected[name]), rel=1e-6, abs=1e-9), name
+    change = measures.energy(nip(), whole)["total"]
+    assert float(expected["stored"]) == pytest.approx(float(change[-1] - change[0]), rel=1e-9)
+
+
 @pytest.mark.slow
 def test_gaps_reach_parts_that_nothing_touches(run):
     far = diffeed.simulate(

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ import diffeed
 import optimize
 from diffeed.readings.agreement import FINER
 from optimize import blame_map, descent, evaluate, programs
+from optimize.asked import values_of
 from optimize.confirmation import in_finer_steps
 from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluator
-from optimize.journal import FILES, Journal, JournalError, read_history
-from optimize.problem import Settings, make_problem, over_media
+from optimize.journal import FILES, HISTORY, Journal, JournalError
+from optimize.problem import Settings, eased, look, make_problem, over_media, simulate
 from optimize.report import write_result
 from optimize.study_file import make_study
 
@@ -37,6 +39,10 @@ TABLE = {
 def problem_of(**changes):
     search = TABLE["search"] | changes.pop("search", {})
     return make_problem(make_study(TABLE | {"search": search} | changes), scene=nip())
+
+
+def history(folder):
+    return [json.loads(line) for line in (folder / HISTORY).read_text("utf-8").splitlines()]
 
 
 def test_adam_finds_the_preload_of_a_wanted_force():
@@ -61,6 +67,20 @@ def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     found.append(blame_map.blame(problem, points[1]))
     assert [f.objective for f in found] == pytest.approx(scored, rel=1e-12)
     assert scored[0] != scored[1]
+
+
+def test_when_sensitivity_arises_is_asked_of_the_whole_run(monkeypatch):
+    """Of its frames, too: a margin begins where the run does."""
+    problem, seen = problem_of(frames=7, objective={"spare": {"measure": "jam_margin", "of": "strip"}}), []
+
+    def watched(goals, scene, run):
+        jax.debug.callback(seen.append, run.time)
+        return values_of(goals, scene, run)
+
+    monkeypatch.setattr(blame_map, "values_of", watched)
+    blame_map.arising(problem, problem.start, spans=3)
+    jax.effects_barrier()
+    np.testing.assert_allclose(seen[0], np.linspace(0.0, 0.01, 7), rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -215,7 +235,7 @@ def test_resume_after_a_kill_gives_the_same_iterates(tmp_path):
     for _ in range(2):  # when it has ended, and its result is written, nothing is added
         result = design(problem_of(search={"iterations": 9}), tmp_path / "cut", resume=True)
         write_result(tmp_path / "cut", result, pictures=False)
-    lines = [read_history(tmp_path / name) for name in ("whole", "cut")]
+    lines = [history(tmp_path / name) for name in ("whole", "cut")]
     for a, b in zip(*lines, strict=True):
         a.pop("seconds"), b.pop("seconds")
         assert a == b
@@ -247,7 +267,7 @@ def test_a_search_in_its_last_stage_goes_on_with_more_iterations(tmp_path):
         design(staged(3, 2), tmp_path / "cut", resume=True)
     design(staged(2, 4), tmp_path / "cut", resume=True)
     design(staged(2, 4), tmp_path / "whole")
-    lines = [read_history(tmp_path / name) for name in ("whole", "cut")]
+    lines = [history(tmp_path / name) for name in ("whole", "cut")]
     for a, b in zip(*lines, strict=True):
         a.pop("seconds"), b.pop("seconds")
         assert a == b
@@ -261,6 +281,19 @@ def test_a_search_whose_time_is_up_at_the_end_of_a_stage_goes_on_with_the_next()
     descent.stop(problem, progress)
     assert "time of 1 s" in progress.reason
     assert progress.stage == 1
+
+
+def test_slip_is_held_against_the_floor_of_the_law_that_the_run_had():
+    """Here a harder one than the machine's, whose own floor lies above all that is slipped."""
+    problem = problem_of(objective={"slip": {"measure": "slip", "of": "drive"}})
+    (seen,) = look(problem, problem.start, Settings(smoothing=0.05)).goals[0]
+    hard = problem.scene(problem.start)
+    scene = eased(hard, 0.05)
+    run = simulate(problem, scene)
+    floors = [float(diffeed.measures.creep_floor(s, run)["drive"]) for s in (scene, hard)]
+    slipped = float(run.observed["nips"]["drive"].slip_rms)
+    assert floors[0] < 0.9 * slipped < floors[1]
+    assert float(seen) == pytest.approx(slipped - floors[0], rel=1e-9)
 
 
 @pytest.mark.slow

@@ -74,6 +74,21 @@ def test_an_arc_turns_with_its_start_angle():
     assert float(moved.guides["arc"].start_angle) == pytest.approx(100.0)
 
 
+def test_a_guide_that_swings_takes_its_pivot_along():
+    """Moved and turned, it swings as before: the pivot stays at its end, and so does the way of its displacement."""
+    motion = diffeed.Motion(
+        times=[0.0, 1.0], displacement=[[0.0, 0.0], [2.0, 0.0]], rotation=[0.0, 20.0], pivot=(10.0, 0.0)
+    )
+    guide = diffeed.LineGuide(start=(10.0, 0.0), end=(30.0, 0.0), motion=motion)
+    scene = diffeed.scene(**vars(diffeed.put(nip(), "guides", {"diverter": guide})))
+    shift = Variable(shift=["guides.diverter"], direction=(0.0, 1.0), bounds=(-9.0, 9.0))
+    turn = Variable(turn=["guides.diverter"], about=(0.0, 0.0), bounds=(-90.0, 90.0))
+    moved = free.applied(scene, (shift, turn), jnp.array([5.0, 90.0])).guides["diverter"]
+    np.testing.assert_allclose(moved.start, [-5.0, 10.0], atol=1e-12)
+    np.testing.assert_allclose(moved.motion.pivot, moved.start, atol=1e-12)
+    np.testing.assert_allclose(moved.motion.displacement, [[0.0, 0.0], [0.0, 2.0]], atol=1e-12)
+
+
 def test_where_a_variable_starts():
     scene = nip(radius=5.0)
     assert free.start_of(RADIUS, scene) == pytest.approx(5.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import extremes as ex
 
-from diffeed import Contact, FixedRoller, MovableRoller
+from diffeed import Contact, FixedRoller, LineGuide, MovableRoller
 from diffeed.base.records import replace
 from diffeed.faults.causes import TURNED_ABOUT
 from diffeed.faults.overshoot import DAMPED, SWINGS
@@ -60,6 +60,14 @@ def test_friction_that_is_regularised(law):
     """A rate of mu N/(M v_s), where classical Runge-Kutta bears 2.785 per step."""
     limit = DAMPED * mass() * Contact().stick_speed / held()
     found = runs(feeder(friction_law=law), [ratio * limit for ratio in RATIOS])
+    judged(found, found.sheets["paper"].velocities[:, -1, 0, 0], ex.SPEED)
+
+
+def test_a_part_without_friction_hides_nothing():
+    """Far away and untouched: it takes no part in the sums."""
+    limit, scene = DAMPED * mass() * Contact().stick_speed / held(), feeder()
+    far = LineGuide(start=(0.0, -400.0), end=(9.0, -400.0), friction=0.0)
+    found = runs(replace(scene, guides=dict(scene.guides) | {"far": far}), [ratio * limit for ratio in RATIOS])
     judged(found, found.sheets["paper"].velocities[:, -1, 0, 0], ex.SPEED)
 
 

@@ -7,12 +7,13 @@ import re
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from packed import unpack
 from stand_in import film_feeder, run
 
 from diffeed import plot
 from diffeed.player import page, write_player
 from diffeed.run.rollout import simulate
-from diffeed.show.player_data import pack, unpack
+from diffeed.show.player_data import pack
 
 SCENE = film_feeder()
 RUN = run(SCENE)

@@ -16,6 +16,7 @@ from stand_in import film_feeder, run
 import diffeed
 from diffeed import plot
 from diffeed.input.parts import ArcGuide, Clamp, LineGuide, Motion, Profile, Scene, Sensor, normalise
+from diffeed.model.build import build
 from diffeed.show import labels, outlines
 from optimize.blame_map import Blame
 from optimize.pictures import blame_map
@@ -128,6 +129,22 @@ def test_joined_guides_have_no_tips_where_they_meet():
     }
     scene = normalise(Scene(guides=corner))
     np.testing.assert_allclose(outlines.guide(scene, "a").tips, [[0.0, -0.5, 0.5]])
+
+
+def test_tips_are_drawn_where_the_model_has_them():
+    """A guide that only starts flush with its neighbour has an end there, and so has the neighbour; a drum has none."""
+    swing = Motion(times=[0.0, 1.0], displacement=[[0.0, 0.0]] * 2, rotation=[0.0, 20.0], pivot=(10.0, 0.0))
+    guides = {
+        "still": LineGuide(start=(0.0, 0.0), end=(10.0, 0.0)),
+        "diverter": LineGuide(start=(10.0, 0.0), end=(30.0, 0.0), motion=swing),
+        "along": LineGuide(start=(30.0, 0.0), end=(40.0, 0.0), motion=swing),
+        "drum": ArcGuide(center=(0.0, -60.0), radius=15.0, start_angle=0.0, sweep=-360.0, side="outside"),
+    }
+    scene = normalise(Scene(sheets=SCENE.sheets, guides=guides, contacts=SCENE.contacts))
+    model = build(scene)
+    names = [model.circle_names[k] for k in np.flatnonzero(np.asarray(model.circles.active))]
+    drawn = {name: len(outlines.guide(scene, name).tips) for name in guides}
+    assert drawn == {name: names.count(name) for name in guides} == {"still": 2, "diverter": 1, "along": 1, "drum": 0}
 
 
 def test_ticks_lie_behind_the_bearing_face():

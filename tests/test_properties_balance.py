@@ -261,7 +261,10 @@ def test_losses_explain_the_energy(seed):
 @pytest.mark.parametrize("method", METHODS)
 def test_observed_energy_is_the_integral_of_the_powers(method):
     trajectory, book = every_step(slider(0), method)
-    for name, total in trajectory.observed["energy"].items():
+    seen = dict(trajectory.observed["energy"])
+    change = float(book.energy[-1] - book.energy[0])
+    assert abs(float(seen.pop("stored")) - change) < 1e-12 * (1.0 + abs(change))
+    for name, total in seen.items():
         expected = np.trapezoid(np.asarray(getattr(book.powers, name)), np.asarray(trajectory.time))
         assert abs(float(total) - expected) < 1e-12 * (1.0 + abs(expected))
 
@@ -438,5 +441,5 @@ def _contacts(scene: Scene, key):
     return (
         touching,
         features(model, look(model, state)[0])[0].own.friction_factor[0],
-        (model.surface.column(), model.pair_surface),
+        (jax.tree.map(lambda v: v[:, None], model.surface), model.pair_surface),
     )

@@ -1,6 +1,6 @@
 """Gradient-safe scalar maths. Each guard says which gradient it saves; tests visit every bad point.
 
-Algebraic forms only (square roots, polynomials): cheaper than exp and tanh, and no overflow in float32.
+Algebraic forms (square roots, polynomials) wherever a step needs them: cheaper than exp and tanh, and no overflow in float32.
 """
 
 import jax

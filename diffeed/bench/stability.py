@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from diffeed.bench.stability_scene import AXES, BASE, vary
@@ -204,9 +203,8 @@ def apart(found: np.ndarray, reference: np.ndarray) -> np.ndarray:
 @jax.jit
 @jax.vmap
 def _start(scene: Scene) -> Resume:
-    """Where a run begins, of the types with which it goes on."""
-    resume = Resume(**begin(build(scene), scene, None, ())._asdict())
-    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), resume)  # no weak types
+    """Where a run begins."""
+    return begin(build(scene), scene, None, ())
 
 
 @jax.jit

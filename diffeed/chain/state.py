@@ -66,8 +66,11 @@ def initial_grip(model: Model) -> Array | None:
 
 def _centre_velocity(sheet: Sheet, headings: Array, rates: Array) -> Array:
     """Velocity of the mass centre, given the leading edge's and the rates."""
-    way = jnp.deg2rad(sheet.heading)
-    lead = sheet.speed * jnp.stack([jnp.cos(way), jnp.sin(way)]) if sheet.velocity is None else sheet.velocity
+    lead = (
+        sheet.speed * jnp.stack([jnp.cos(headings[0]), jnp.sin(headings[0])])
+        if sheet.velocity is None
+        else sheet.velocity
+    )
     bar = sheet.length / sheet.bars
     turning = rates[:, None] * jnp.stack([-jnp.sin(headings), jnp.cos(headings)], axis=1) * bar
     behind = jnp.cumsum(turning, axis=0) - 0.5 * turning

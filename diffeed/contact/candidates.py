@@ -134,9 +134,9 @@ def _list(
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     rows, motions = features(model, at), speeds(world)
     families = (
-        lambda: circles_near(model, rows, world, looked_at),
-        lambda: guides_near(model, rows, world, looked_at._replace(arcs=None)),
-        lambda: guides_near(model, rows, world, looked_at._replace(lines=None)),
+        lambda: circles_near(rows, world, looked_at),
+        lambda: guides_near(rows, world, looked_at._replace(arcs=None)),
+        lambda: guides_near(rows, world, looked_at._replace(lines=None)),
     )
     unasked = REACH + TURNING * span * fastest
     index: dict[str, Array | None] = dict.fromkeys(FAMILIES)

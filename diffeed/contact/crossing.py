@@ -46,7 +46,7 @@ def misplaced_at(model: Model, at: Pose, world: Bodies) -> Misplaced:
     """The sides of a bar's ends alone would also show an end that is pressed in; beyond a guide's own ends a sheet may cross
     freely."""
     families = _families(model, at, world)
-    across = [s.across & (s.meets[0] < 0) & (s.meets[1] < 0) for s, _ in families]
+    across = [s.across & (s.meets[0] <= 0) & (s.meets[1] <= 0) for s, _ in families]  # 0 everywhere on a full turn
     return Misplaced(_any_bar(model, across), _any_bar(model, _behind(families)))
 
 

@@ -13,7 +13,6 @@ from jax import Array
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.features import Features, Place, blend
 from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
-from diffeed.model.arrays import Model
 from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
 from diffeed.pair.skin import Pieces, hull_circle, piece_circle, touched
 
@@ -31,18 +30,18 @@ class Closest(NamedTuple):
     lever: Array  # mm that the foot runs per radian: R + t/2 where a face lies on a circle, 0 at a round end
 
 
-def nearest(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+def nearest(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """The skin against all kept bodies, in their order."""
     families = []
     n = kept.n_circles
     if n:
-        families.append(circles_near(model, part(rows, kept.pairs, slice(n)), world, kept))
+        families.append(circles_near(part(rows, kept.pairs, slice(n)), world, kept))
     if kept.lines is not None or kept.arcs is not None:
-        families.append(guides_near(model, part(rows, kept.pairs, slice(n, None)), world, kept))
+        families.append(guides_near(part(rows, kept.pairs, slice(n, None)), world, kept))
     return in_rows(families)
 
 
-def circles_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+def circles_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """The skin against rollers, circle guides and tips."""
     rigid = Rigid(*(v[: kept.n_circles] for v in picked(tuple(world.circles), kept.circle_index)))
     half_thickness = rows[-1].own.half_thickness
@@ -104,7 +103,7 @@ def _places(rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
     return tuple(Place(f.share, f.arm * row.c, f.arm * row.s) for f, row in zip(found, rows, strict=True))
 
 
-def guides_near(model: Model, rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
+def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     """End circles, or points of the smooth skin, against line guides and arc guides."""
     places = _samples(rows)
     px, py = _points(rows, places)

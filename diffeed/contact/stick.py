@@ -13,7 +13,6 @@ from jax import Array
 
 from diffeed.base.records import replace
 from diffeed.base.smooth import divide
-from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State, initial_grip
 from diffeed.chain.system import Solution
 from diffeed.contact.features import blend, by_feature, laid_out
@@ -62,7 +61,7 @@ def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
     return table[: kept.n_circles, owner] if index is None else table[index, owner[None, :]]
 
 
-def _gather(model: Model, pairs: Pairs, kept: Kept, values: tuple[Array, ...]) -> Array:
+def _gather(model: Model, kept: Kept, values: tuple[Array, ...]) -> Array:
     """(values, deflections): each value summed over the sticking pairs that share a deflection."""
     whole = jnp.stack([jnp.where(kept.surface.stick, v, 0.0) for v in values])
     n, found = kept.n_circles, []
@@ -79,7 +78,7 @@ def pull(model: Model, pairs: Pairs, slide: Array, kept: Kept) -> tuple[Array, A
     """1/s, how fast each deflection is dragged along at the sliding speeds `slide` (mm/s), the mean over its pairs by their
     normal force; and whether any force presses there at all."""
     force = pairs.touch.force
-    pressed, dragged = _gather(model, pairs, kept, (force, force * slide / kept.surface.stick_displacement))
+    pressed, dragged = _gather(model, kept, (force, force * slide / kept.surface.stick_displacement))
     return divide(dragged, pressed), pressed > 0
 
 
@@ -117,14 +116,14 @@ def pressed_only(model: Model, grip: Array | None, pairs: Pairs | None, kept: Ke
     return moved(grip, *pull(model, pairs, jnp.zeros_like(pairs.v_t), kept), 0.0)
 
 
-def at_friction(model: Model, at: Pose, pairs: Pairs, kept: Kept) -> Array:
+def at_friction(model: Model, pairs: Pairs, kept: Kept) -> Array:
     """The deflections that hold the friction of `pairs`, which the regularised law gave."""
     surface = kept.surface
     coefficient = surface.friction
     if surface.static_excess is not None:
         coefficient = coefficient * (1.0 + surface.static_excess)
     limit = coefficient * kept.own.friction_factor * pairs.touch.force
-    friction, most = _gather(model, pairs, kept, (pairs.touch.friction, limit))
+    friction, most = _gather(model, kept, (pairs.touch.friction, limit))
     return stick_deflection(divide(friction, most))
 
 

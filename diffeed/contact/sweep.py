@@ -42,7 +42,7 @@ class Pairs(NamedTuple):
 def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip | None = None) -> Pairs:
     """The kept pairs. Without a `grip`, friction is regularised everywhere."""
     rows = features(model, at, kept.pairs)
-    near, half_thickness = nearest(model, rows, world, kept), rows[-1].own.half_thickness
+    near, half_thickness = nearest(rows, world, kept), rows[-1].own.half_thickness
     near = derived_once(near)
     levers, away, along = [], [], []
     for row, place in zip(rows, near.places, strict=True):

@@ -16,7 +16,7 @@ _ALL = (
     Cause("no rest state was found", 'set initial = "given" to start as written'),
     Cause("the numbers stopped being finite", SHORTER),
     Cause(
-        "a bar was pushed deeper into a body than it may be",
+        "a bar or roller was pushed deeper into a body than it may be",
         "take shorter steps, a stiffer contact or less force",
     ),
     Cause("speeds grew past anything a feeder can do", SHORTER),

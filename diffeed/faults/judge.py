@@ -8,6 +8,7 @@ from jax import Array
 
 from diffeed.chain.state import State
 from diffeed.contact.kept import Kept, allowed_in_circles
+from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
 from diffeed.faults.causes import FROZEN, LEAPT, NOT_FINITE, SINGULAR, TOO_DEEP, TOO_FAST, TURNED_ABOUT, UNRESOLVED
 from diffeed.faults.overshoot import turns_about
@@ -32,13 +33,10 @@ def of_step(
     """
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
-    leap = 0.5 * h * change
+    leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_surface(model, after))
     cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(touching.sheets, kept, h)
     if touching.rollers is not None:
-        i, j = touching.rollers.between
-        allowed = allowed_in_circles(model.rollers.radius)
-        allowed = jnp.minimum(allowed[i], allowed[j])
-        cause = jnp.where(jnp.any(touching.rollers.gap < -allowed), TOO_DEEP, cause)
+        cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
     if explicit:
         cause = jnp.where((cause == 0) & turns_about(model, before, touching, kept, h), TURNED_ABOUT, cause)
     if before.x.dtype == jnp.float32:
@@ -57,6 +55,12 @@ def _blown(model: Model, touching: Contacts) -> Array:
 
 def _speeds(model: Model, state: State) -> Array:
     return jnp.concatenate([state.vx, state.vy, state.rate * jnp.max(model.bars.half_length), state.travel_rate])
+
+
+def _fastest_surface(model: Model, state: State) -> Array:
+    """mm/s of the rollers that turn freely."""
+    rollers = model.rollers
+    return jnp.max(jnp.abs(state.spin * rollers.radius[rollers.free]), initial=0.0)
 
 
 def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
@@ -82,10 +86,21 @@ def _is_frozen(before: State, after: State, h: Array) -> Array:
     return jnp.any(lost(after.x, before.x, after.vx) | lost(after.y, before.y, after.vy))
 
 
-def severity(pairs: Pairs, kept: Kept, h: Array) -> Array:
-    """(bodies,) by how much each body is entered or approached, in what it allows: whom to blame for a failed step."""
-    depth, closing = _depth_and_approach(pairs, kept, h)
-    here = pairs.weight > 0
-    deep = jnp.where(here & (pairs.touch.force > 0), depth, -jnp.inf)
-    near = jnp.where(here & (closing > pairs.gap), closing, -jnp.inf)
-    return jnp.max(jnp.maximum(deep / kept.allowed, near / kept.approach), axis=1)
+def _depth_of_rollers(model: Model, pairs: RollerPairs) -> Array:
+    """How deep rollers lie in each other, in what they allow."""
+    allowed, (i, j) = allowed_in_circles(model.rollers.radius), pairs.between
+    return -pairs.gap / jnp.minimum(allowed[i], allowed[j])
+
+
+def severity(model: Model, touching: Contacts, kept: Kept, h: Array) -> Array:
+    """(bodies,) by how much each is entered or approached, in what it allows: whom to blame for a failed step."""
+    assert touching.sheets is not None
+    depth, closing = _depth_and_approach(touching.sheets, kept, h)
+    here = touching.sheets.weight > 0
+    deep = jnp.where(here & (touching.sheets.touch.force > 0), depth, -jnp.inf)
+    near = jnp.where(here & (closing > touching.sheets.gap), closing, -jnp.inf)
+    worst = jnp.max(jnp.maximum(deep / kept.allowed, near / kept.approach), axis=1)
+    if touching.rollers is None:
+        return worst
+    (i, j), share = touching.rollers.between, _depth_of_rollers(model, touching.rollers)
+    return worst.at[i].max(share).at[j].max(share)

@@ -19,6 +19,15 @@ def hold_target(hold: Hold, time: Array) -> tuple[Array, Array, Array]:
     return hold.x + shift.dx, hold.y + shift.dy, hold.angle + shift.angle
 
 
+def hold_speed(hold: Hold, time: Array) -> tuple[Array, Array, Array]:
+    """And how fast that moves (mm/s, rad/s)."""
+    if hold.path is None:
+        zero = jnp.zeros(())
+        return zero, zero, zero
+    shift = shift_at(hold.path, time)
+    return shift.vx, shift.vy, shift.w
+
+
 def by_direction(values: tuple[Array, Array, Array]) -> dict[str, Array]:
     """(x, y, heading) by the words that a clamp's rows use."""
     return dict(zip(("x", "y", "heading"), values, strict=True))
@@ -32,8 +41,8 @@ def walls(model: Model, state: State, step: Step) -> BarTerms | None:
             continue
         k, c = 2.0 * model.wall_stiffness[hold.bar], 2.0 * model.wall_damping[hold.bar]
         rate, lag = state.rate[hold.bar], (step.h if step.implicit else 0.0)
-        angle = hold_target(hold, state.time + lag)[2]
-        moment = -k * (state.heading[hold.bar] - angle) - (c + lag * k) * rate
+        angle, turning = (of(hold, state.time + lag)[2] for of in (hold_target, hold_speed))
+        moment = -k * (state.heading[hold.bar] - angle + lag * rate) - c * (rate - turning)
         terms = {"fw": on_bar(model, hold.bar, moment)}
         if step.implicit:
             terms["ww"] = on_bar(model, hold.bar, step.h * (c + step.h * k))
@@ -77,7 +86,7 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
     speed = by_direction((at.vx[k] - arm * s * w, at.vy[k] + arm * c * w, w))
     bias = by_direction((arm * w * w * c, arm * w * w * s, zero))
     meant = state.time + step.h if step.implicit else state.time
-    target, wanted = by_direction(hold_target(hold, meant)), by_direction(_hold_speed(hold, meant))
+    target, wanted = by_direction(hold_target(hold, meant)), by_direction(hold_speed(hold, meant))
     rate = closing_rate(model, k)
     if step.implicit:  # any rate is stable: a limp sheet, which has none of its own, closes half of its error in a step
         rate = jnp.where(rate > 0.0, rate, 1.0 / step.h)
@@ -93,11 +102,3 @@ def _hold_rows(model: Model, state: State, at: Pose, hold: Hold, step: Step) -> 
             closing = rate * rate * error + 2.0 * rate * (wanted[d] - speed[d])
         values.append(closing + bias[d])
     return jnp.stack(columns), jnp.stack(values)
-
-
-def _hold_speed(hold: Hold, time: Array) -> tuple[Array, Array, Array]:
-    if hold.path is None:
-        zero = jnp.zeros(())
-        return zero, zero, zero
-    shift = shift_at(hold.path, time)
-    return shift.vx, shift.vy, shift.w

@@ -10,7 +10,7 @@ from diffeed.chain.state import State
 from diffeed.contact.kept import Kept, by_roller
 from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
-from diffeed.forces.clamps import hold_target
+from diffeed.forces.clamps import hold_speed, hold_target
 from diffeed.forces.contacts import Contacts
 from diffeed.forces.loads import pushes
 from diffeed.model.arrays import NEWTON, Model
@@ -84,7 +84,8 @@ def powers(model: Model, state: State, touching: Contacts, kept: Kept) -> Powers
     joints = jnp.sum(bars.joint_damping * rate**2)
     for hold in model.holds:
         if hold.wall:
-            joints = joints + 2.0 * model.wall_damping[hold.bar] * state.rate[hold.bar] ** 2
+            turning = state.rate[hold.bar] - hold_speed(hold, state.time)[2]
+            joints = joints + 2.0 * model.wall_damping[hold.bar] * turning**2
     rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(r.drag * state.spin**2)
     drives = _drive_power(model, touching, kept)
     return Powers(*(v / NEWTON for v in (drives, load_power(model, touching.at), friction, damping, joints, rollers)))

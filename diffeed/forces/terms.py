@@ -11,7 +11,7 @@ from diffeed.model.arrays import Model
 
 
 class Step(NamedTuple):
-    """Length of a step and whether its end is felt: h = 0 gives the plain equations of motion."""
+    """Length of a step (s), and whether its end is felt: if not, these are the plain equations of motion."""
 
     h: Array
     implicit: bool

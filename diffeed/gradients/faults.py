@@ -24,7 +24,7 @@ from diffeed.model.arrays import Model
 from diffeed.model.build import build
 from diffeed.readings.snapshot import look
 from diffeed.run.progress import begin
-from diffeed.run.rollout import plan
+from diffeed.run.rollout import plan, refuse
 from diffeed.steppers import DEFAULT, EXPLICIT, STEPPERS
 
 GEOMETRY = ("gap", "nx", "ny", "weight", "v_n", "v_t")
@@ -54,10 +54,12 @@ class BadStep(NamedTuple):
 def explain_gradient(scene: Scene, duration: float | None = None, dt: float = 1e-4, method: str = DEFAULT) -> BadStep:
     """Find the first step of a run whose derivative is not finite, and in it the pair and the term.
 
-    Costs some three runs and one stored state per step. Raises SceneError for numbers that no scene can have.
+    Costs some three runs and one stored state per step. Raises SceneError for numbers that no scene can have,
+    ValueError for another argument that makes no sense.
     """
     scene = checked(scene)
     duration = scene.duration if duration is None else duration
+    refuse(duration, dt, 2, method, ())
     steps = plan(duration, dt, 2).total
     states, bad, start = _walk(scene, duration / steps, steps, method)
     found = np.flatnonzero(np.asarray(bad))

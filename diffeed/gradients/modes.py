@@ -16,7 +16,7 @@ from jax import Array
 
 from diffeed.input.check_records import checked
 from diffeed.input.parts import Scene
-from diffeed.input.paths import get, put
+from diffeed.input.paths import number_at, put
 from diffeed.model.build import build
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run import error_control
@@ -73,7 +73,7 @@ def gradient_plan(
     if tolerance is None:
         counts = plan(scene.duration if duration is None else duration, STEP if dt is None else dt, frames)
     else:
-        counts = Plan(2, error_control.blocks(most_steps, frames), error_control.BLOCK)
+        counts = Plan(2, error_control.blocks(most_steps, frames - 1), error_control.BLOCK)
     chosen = mode if mode != "auto" else "forward" if count <= FEW else "reverse"
     carry = jax.eval_shape(lambda s: begin(build(s), s, None, ()), scene)
     state = sum(int(np.prod(v.shape)) * v.dtype.itemsize for v in jax.tree.leaves(carry))
@@ -111,7 +111,8 @@ def value_and_gradient(
     Called again with the same measure and settings, nothing is compiled; as with `jax.jit`, what the measure takes from
     outside itself then stays as it was in the first call.
 
-    Raises SceneError for numbers that no scene can have, ValueError for a mode that does not exist or does not fit.
+    Raises SceneError for numbers that no scene can have, PathError for a path without a number, ValueError for a mode
+    that does not exist or does not fit.
     """
     scene = checked(scene)
     if tolerance is not None:
@@ -121,9 +122,10 @@ def value_and_gradient(
         if mode == "forward":
             raise ValueError("the gradient with respect to every number needs mode='reverse'; or name some paths")
         return _program(measure, how, "whole")(scene, {}, tolerance)
-    count = sum(int(np.size(get(scene, p))) for p in paths)
+    values = {p: jnp.asarray(number_at(scene, p)) for p in paths}
+    count = sum(v.size for v in values.values())
     chosen = gradient_plan(scene, count, duration, dt, frames, mode, tolerance, most_steps).mode
-    return _program(measure, how, chosen)(scene, {p: jnp.asarray(get(scene, p)) for p in paths}, tolerance)
+    return _program(measure, how, chosen)(scene, values, tolerance)
 
 
 @functools.lru_cache(maxsize=16)

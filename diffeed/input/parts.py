@@ -106,7 +106,7 @@ class Sheet:
     lead: Any = number(default=(0.0, 0.0), unit="mm", doc="leading edge at the start", shape=(2,))
     heading: Any = number(default=0.0, unit="deg", doc="direction of travel at the start")
     curl: Any = number(default=0.0, unit="1/mm", doc="curvature at rest; positive turns left along the travel")
-    speed: Any = number(default=0.0, unit="mm/s", doc="initial speed along `heading`")
+    speed: Any = number(default=0.0, unit="mm/s", doc="initial speed along the heading of the lead bar")
     friction_factor: Any = number(
         default=1.0, unit="1", doc="scales the friction of every part it touches", bound="nonnegative"
     )
@@ -350,7 +350,7 @@ def _normalise_number(value: Any) -> Any:
     dtype = jnp.result_type(float)
     if isinstance(value, jax.Array) and value.dtype == dtype and not value.weak_type:
         return value
-    if isinstance(value, (jax.Array, np.ndarray, float, int, list, tuple)):
+    if isinstance(value, (jax.Array, np.ndarray, np.generic, float, int, list, tuple)):
         known = not any(isinstance(v, Tracer) for v in jax.tree.leaves(value))
         with jax.ensure_compile_time_eval() if known else nullcontext():  # what is known stays known inside a trace
             if isinstance(value, (list, tuple)):

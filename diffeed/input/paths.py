@@ -63,6 +63,16 @@ def unit(scene: Scene, path: str) -> str:
     return found.metadata["unit"]
 
 
+def number_at(scene: Scene, path: str) -> Any:
+    """The number or vector at a path. PathError, a ValueError, for one that holds a word or a part, or an optional number that is
+    not given."""
+    unit(scene, path)
+    value = get(scene, path)
+    if value is None or isinstance(value, Profile):
+        raise PathError(f'"{path}" is not a number: it is {"not given" if value is None else "a profile"}')
+    return value
+
+
 def numbers(scene: Any) -> dict[str, Any]:
     """Path and value of every number that is given, entry by entry, in the order of the records: of a scene, or of the
     gradient of one."""

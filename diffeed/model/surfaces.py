@@ -17,7 +17,7 @@ def surface_of(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
     once = {id(part): part for _, part in parts}  # a guide owns its tips too
     place = {key: k for k, key in enumerate(once)}
     friction = stacked([part.friction for part in once.values()])[np.array([place[id(p)] for _, p in parts], dtype=int)]
-    return _surface_of_sets(scene, [p.contact for _, p in parts], friction, tuple(name for name, _ in parts))
+    return _surface_of_sets(scene, [p.contact for _, p in parts], friction)
 
 
 def pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tuple[int, int], ...]) -> Surface:
@@ -27,8 +27,7 @@ def pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tupl
     """
     each, index = stacked([r.friction for _, r in rollers]), np.array(pairs, dtype=int).reshape(-1, 2)
     friction = jnp.minimum(each[index[:, 0]], each[index[:, 1]])
-    names = tuple(f"{rollers[i][0]}+{rollers[j][0]}" for i, j in pairs)
-    return _surface_of_sets(scene, [rollers[i][1].contact for i, _ in pairs], friction, names, can_stick=False)
+    return _surface_of_sets(scene, [rollers[i][1].contact for i, _ in pairs], friction, can_stick=False)
 
 
 def any_sticks(scene: Scene, parts: list[tuple[str, Any]]) -> bool:
@@ -36,9 +35,7 @@ def any_sticks(scene: Scene, parts: list[tuple[str, Any]]) -> bool:
     return any(scene.contacts[p.contact].friction_law == "stick" for _, p in parts)
 
 
-def _surface_of_sets(
-    scene: Scene, sets: list[str], friction: Array, names: tuple[str, ...], can_stick: bool = True
-) -> Surface:
+def _surface_of_sets(scene: Scene, sets: list[str], friction: Array, can_stick: bool = True) -> Surface:
     known = sorted(scene.contacts)
     index = np.array([known.index(s) for s in sets], dtype=int)
     contacts = [scene.contacts[name] for name in known]
@@ -68,5 +65,4 @@ def _surface_of_sets(
         tanh=jnp.asarray(tanh) if tanh.any() else None,
         stick=jnp.asarray(stick) if sticks else None,
         stick_displacement=per_body([c.stick_displacement for c in contacts]) if sticks else None,
-        names=names,
     )

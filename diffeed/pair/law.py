@@ -9,12 +9,11 @@ relaxation towards it, so that what is held below the limit stands still).
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.records import record, word
-from diffeed.base.smooth import power, powers, ramp
+from diffeed.base.records import record
+from diffeed.base.smooth import divide, power, powers, ramp
 
 SLIDES = 1.5
 """Deflection, in stick displacements, at which friction is at its limit: the bound of the deflection."""
@@ -39,11 +38,6 @@ class Surface:
     tanh: Any  # bool per entry, or None when none follows it
     stick: Any = None  # bool per entry, or None when none sticks
     stick_displacement: Any = None  # mm, None when none sticks
-    names: tuple[str, ...] = word(default=(), doc="name of the part behind each entry", type=tuple)
-
-    def column(self) -> "Surface":
-        """Entries (n,) -> (n, 1), to meet bars or nodes."""
-        return jax.tree.map(lambda v: v[:, None], self)
 
 
 class Touch(NamedTuple):
@@ -153,11 +147,11 @@ def friction_after(surface: Surface, touch: Touch, v_t: Array, gained: Array, ah
     """Friction under the same normal force once the sliding speed is `gained` (mm/s) more, as for `ahead` (s) it has been."""
     assert touch.secant is not None, "only where a set has friction"
     later = v_t + gained
-    slides = touch.secant * friction_secant(surface, later) / friction_secant(surface, v_t) * later
+    slides = touch.secant * divide(friction_secant(surface, later), friction_secant(surface, v_t)) * later
     if grip is None or surface.stick is None:
         return slides
     dragged = grip._replace(deflection=grip.deflection + ahead * gained / surface.stick_displacement)
-    held = stick_friction(surface, later, dragged)[0] / stick_friction(surface, v_t, grip)[1]
+    held = divide(stick_friction(surface, later, dragged)[0], stick_friction(surface, v_t, grip)[1])
     return jnp.where(surface.stick, touch.secant * held, slides)
 
 

@@ -19,7 +19,7 @@ from diffeed.contact.features import by_feature
 from diffeed.contact.kept import Kept, keep_all, part, pick
 from diffeed.contact.sweep import heading
 from diffeed.forces.contacts import Contacts
-from diffeed.forces.energy import Powers, powers
+from diffeed.forces.energy import Powers, energies, powers
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings import spans
@@ -210,18 +210,23 @@ class EnergySums:
     work: Any  # Powers, N mm
     last: Any  # Powers at the last look
     time: Any
+    begun: Any  # N mm stored at the start
 
 
 def _energy_start(model: Model, scene: Scene, state: State) -> EnergySums:
     # The first look is at this same time: over no time, the powers before it do not count.
     none = Powers(*[jnp.zeros(())] * len(Powers._fields))
-    return EnergySums(work=none, last=none, time=state.time)
+    return EnergySums(work=none, last=none, time=state.time, begun=_stored(model, state, look(model, state)[2]))
+
+
+def _stored(model: Model, state: State, touching: Contacts) -> Array:
+    return jnp.sum(jnp.stack(energies(model, state, touching, keep_all(model))))
 
 
 def _energy_add(sums: EnergySums, state: State, now: Powers) -> EnergySums:
     half = 0.5 * (state.time - sums.time)
     work = Powers(*(w + half * (a + b) for w, a, b in zip(sums.work, sums.last, now, strict=True)))
-    return EnergySums(work=work, last=now, time=state.time)
+    return replace(sums, work=work, last=now, time=state.time)
 
 
 def _energy_update(model: Model, scene: Scene, sums: EnergySums, seen: Seen) -> EnergySums:
@@ -229,8 +234,9 @@ def _energy_update(model: Model, scene: Scene, sums: EnergySums, seen: Seen) -> 
 
 
 def _energy_close(model: Model, scene: Scene, sums: EnergySums, state: State) -> dict[str, Array]:
-    now = powers(model, state, look(model, state)[2], keep_all(model))
-    return _energy_add(sums, state, now).work._asdict()
+    touching = look(model, state)[2]
+    done = _energy_add(sums, state, powers(model, state, touching, keep_all(model)))
+    return done.work._asdict() | {"stored": _stored(model, state, touching) - sums.begun}
 
 
 # --- gaps, curvature, feed ----------------------------------------------------------------------------------------------

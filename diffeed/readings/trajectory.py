@@ -151,6 +151,10 @@ class Resume:
     error: Any  # mm, so far
 
 
+FRAMED = ("time", "sheets", "rollers", "guides", "states")
+"""What of a trajectory has frames."""
+
+
 def join(pieces: list[Trajectory]) -> Trajectory:
     """One trajectory from consecutive runs, each begun from the one before (the shared frame is kept once)."""
 
@@ -161,9 +165,6 @@ def join(pieces: list[Trajectory]) -> Trajectory:
     import jax
 
     last = pieces[-1]
-    merged = {
-        name: jax.tree.map(along, *[getattr(p, name) for p in pieces])
-        for name in ("time", "sheets", "rollers", "guides", "states")
-    }
+    merged = {name: jax.tree.map(along, *[getattr(p, name) for p in pieces]) for name in FRAMED}
     steps = sum(np.asarray(p.steps) for p in pieces)
     return replace(last, steps=steps, dt=(merged["time"][-1] - merged["time"][0]) / np.maximum(steps, 1), **merged)

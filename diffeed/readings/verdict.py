@@ -33,7 +33,7 @@ class Outcome(NamedTuple):
     reason: Array
     sheet: Array  # index into the sorted names of the sheets
     frame: Array  # frame at which it was found
-    time: Array  # s; infinite for a sheet that was still moving at the end
+    time: Array  # s; the end if it is late, infinite if it was still moving or stood as its rollers did
 
 
 class Verdict(NamedTuple):

@@ -20,7 +20,8 @@ from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, sea
 from diffeed.faults.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
-from diffeed.run.progress import Progress, recomputed, searched, taken
+from diffeed.readings.trajectory import Resume
+from diffeed.run.progress import recomputed, searched, taken
 from diffeed.steppers import ESTIMATING
 from diffeed.steppers.extrapolated_euler import Ways, both_ways
 
@@ -34,12 +35,16 @@ HORIZON = 1e-4
 
 
 class Control(NamedTuple):
-    """Static: frames after the first, the most steps, stepper, observers."""
+    """Static: frames after the first, the most steps accepted, stepper, observers."""
 
     frames: int
-    blocks: int
+    most_steps: int
     method: str
     observe: tuple[str, ...]
+
+    @property
+    def blocks(self) -> int:
+        return blocks(self.most_steps, self.frames)
 
 
 class Limits(NamedTuple):
@@ -61,7 +66,7 @@ class Schedule(NamedTuple):
 class _Search(NamedTuple):
     """Carry of the loop over blocks."""
 
-    progress: Progress
+    progress: Resume
     h: Array
     block: Array
     frame: Array
@@ -72,7 +77,7 @@ class _Search(NamedTuple):
 class _Block(NamedTuple):
     """Carry of the loop over attempts."""
 
-    progress: Progress
+    progress: Resume
     h: Array
     accepted: Array
     lengths: Array
@@ -84,7 +89,7 @@ def blocks(most_steps: int, frames: int) -> int:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> tuple[Progress, State, Array]:
+def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Resume) -> tuple[Resume, State, Array]:
     """From a start to the end: the last progress, the states at the frames after the first, and the number of steps."""
     found = _find(control, limits, model, scene, first)
     return found.progress, found.states, found.schedule.taken
@@ -97,13 +102,14 @@ def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
     return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative: steps are held fixed
 
 
-def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: Progress) -> _Search:
+def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: Resume) -> _Search:
     """Go through the run, choosing steps."""
     start = first.state.time
     n, dtype = control.frames, start.dtype
 
     def going(carry: _Search) -> Array:
-        return (carry.frame < n) & (carry.block < control.blocks) & (carry.progress.cause == 0)
+        room = (carry.block < control.blocks) & (carry.schedule.taken < control.most_steps)
+        return (carry.frame < n) & room & (carry.progress.cause == 0)
 
     def one_block(carry: _Search) -> _Search:
         end = start + (carry.frame + 1).astype(dtype) * limits.frame
@@ -130,13 +136,14 @@ def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: P
     begun = _Search(first, jnp.minimum(first.next_step, limits.longest), zero, zero, empty, states)
     last = lax.while_loop(going, one_block, begun)
     progress = _failed(last.progress, last.frame < n, OUT_OF_STEPS)
-    return _stand_still(last._replace(progress=progress._replace(next_step=last.h)))
+    return _stand_still(last._replace(progress=replace(progress, next_step=last.h)))
 
 
-def _failed(progress: Progress, failed: Array, cause: int) -> Progress:
+def _failed(progress: Resume, failed: Array, cause: int) -> Resume:
     """A failure here and now, if none came before."""
     new = failed & (progress.cause == 0)
-    return progress._replace(
+    return replace(
+        progress,
         cause=jnp.where(new, cause, progress.cause).astype(jnp.int32),
         failed_at=jnp.where(new, progress.state.time, progress.failed_at),
     )
@@ -167,10 +174,11 @@ def _attempts(
 ) -> _Block:
     """Attempts until the block's time is over or its steps are used up."""
     chosen = ESTIMATING[control.method].chosen
+    most = jnp.minimum(BLOCK, control.most_steps - carry.schedule.taken)
 
     def going(block: _Block) -> Array:
         progress = block.progress
-        return (block.accepted < BLOCK) & (progress.state.time < until) & (progress.cause == 0)
+        return (block.accepted < most) & (progress.state.time < until) & (progress.cause == 0)
 
     def attempt(block: _Block) -> _Block:
         before = block.progress
@@ -185,7 +193,7 @@ def _attempts(
         # A step that fails is tried again shorter, as long as that is possible.
         good = (error <= limits.tolerance) & (then.cause == 0)
         stuck = _failed(before, h <= _smallest(time), TOO_SMALL)
-        stuck = stuck._replace(cause=jnp.where((stuck.cause > 0) & (then.cause > 0), then.cause, stuck.cause))
+        stuck = replace(stuck, cause=jnp.where((stuck.cause > 0) & (then.cause > 0), then.cause, stuck.cause))
         progress = jax.tree.map(lambda a, b: jnp.where(good, a, b), then, stuck)
         wanted = jnp.clip(_next(h, block.h, error, good, limits.tolerance), _smallest(time), limits.longest)
         lengths = jnp.where(good, block.lengths.at[block.accepted].set(h), block.lengths)
@@ -220,19 +228,19 @@ def _error(model: Model, ways: Ways) -> Array:
 
 
 def _replay(
-    control: Control, schedule: Schedule, found: Progress, model: Model, scene: Scene, first: Progress
-) -> tuple[Progress, State, Array]:
+    control: Control, schedule: Schedule, found: Resume, model: Model, scene: Scene, first: Resume
+) -> tuple[Resume, State, Array]:
     """The same run with given steps: what a derivative goes through. Whether it failed is known already."""
     stepper = ESTIMATING[control.method].step
 
-    def one_block(carry: Progress, lengths: Array) -> tuple[Progress, State]:
-        def work(carry: Progress) -> Progress:
+    def one_block(carry: Resume, lengths: Array) -> tuple[Resume, State]:
+        def work(carry: Resume) -> Resume:
             span = jnp.sum(lengths)
             candidates, _ = for_as_long_as_they_last(search(model, carry.state, span), span)
 
             @recomputed
-            def one_step(carry: Progress, h: Array) -> tuple[Progress, None]:
-                def go(carry: Progress) -> Progress:
+            def one_step(carry: Resume, h: Array) -> tuple[Resume, None]:
+                def go(carry: Resume) -> Resume:
                     after, touching = stepper(model, carry.state, h, candidates.kept)
                     return taken(model, scene, carry, after, touching, h, candidates.kept, control.observe)
 
@@ -245,5 +253,5 @@ def _replay(
         return carry, carry.state
 
     last, states = lax.scan(one_block, first, schedule.lengths)
-    last = last._replace(cause=found.cause, failed_at=found.failed_at, next_step=found.next_step)
+    last = replace(last, cause=found.cause, failed_at=found.failed_at, next_step=found.next_step)
     return last, jax.tree.map(lambda v: v[schedule.ends], states), schedule.taken

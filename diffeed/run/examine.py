@@ -41,6 +41,7 @@ def check(
     run of the scene's duration that keeps so many is of a size that can be run.
     """
     problems = check_records(scene)
+    meant = not (dt is None and frames is None and method is None)  # a run of equal steps, if no tolerance is given
     method = DEFAULT if method is None else method
     if method not in STEPPERS:
         problems.append(f"method must be one of {', '.join(STEPPERS)}, but is {method!r}")
@@ -73,7 +74,7 @@ def check(
             )
         problems += _speeds(scene)
         problems += _deep(model, now, "rests", allowed=0.0) if found else []
-    if (dt is not None or frames is not None) and method in EXPLICIT and not problems:  # a run is meant
+    if meant and method in EXPLICIT and not problems:
         problems += _too_fast(model, state, STEP if dt is None else dt, method)
     return problems
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from diffeed.base.records import replace
@@ -12,7 +11,7 @@ from diffeed.chain.state import State
 from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene, normalise
 from diffeed.model.arrays import Model
-from diffeed.readings.trajectory import Resume, Trajectory
+from diffeed.readings.trajectory import FRAMED, Resume, Trajectory
 from diffeed.run.examine import prepare
 from diffeed.run.progress import begin
 from diffeed.run.rollout import simulate
@@ -60,12 +59,12 @@ def cut_at_failure(trajectory: Trajectory) -> Trajectory:
     """Only frames in which time went on: a failed run stands still at its last good state."""
     time = np.asarray(trajectory.time, dtype=float)
     count = 1 + int(np.argmin(np.append(time[1:] > time[:-1], False)))
-    names = ("time", "sheets", "rollers", "guides", "states")
-    return replace(trajectory, **{name: jax.tree.map(lambda v: v[:count], getattr(trajectory, name)) for name in names})
+    return replace(
+        trajectory, **{name: jax.tree.map(lambda v: v[:count], getattr(trajectory, name)) for name in FRAMED}
+    )
 
 
 @jit_of_scene(static_argnames=("observe",))
 def _start(scene: Scene, model: Model, state: State, observe: tuple[str, ...]) -> Resume:
-    """What a first piece goes on from, of the same types as what later ones do: so that all are one program."""
-    resume = Resume(**begin(model, scene, state, observe)._asdict())
-    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), resume)  # no weak types
+    """What a first piece goes on from, so that all are one program."""
+    return begin(model, scene, state, observe)

@@ -1,7 +1,7 @@
 """A run under way: where it starts, one step with its checks and observers, and what is carried from step to step."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,6 @@ from diffeed.contact.candidates import Candidates, check_reach
 from diffeed.contact.crossing import misplaced_at
 from diffeed.contact.kept import Kept, keep_all
 from diffeed.faults import balance, judge
-from diffeed.faults.balance import Book
 from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
@@ -34,36 +33,18 @@ VERDICT = "verdict"
 Step = Callable[[Any, Array], Any]
 
 
-class Progress(NamedTuple):
-    """Carry of the scan: state, first failure, accumulators."""
-
-    state: State
-    cause: Array
-    failed_at: Array
-    open: dict[str, Any]
-    next_step: Array  # s: the next attempt of error-controlled steps
-    book: Book  # the sheets' energy so far
-    error: Array  # mm: that of all steps so far, if they had order one
-
-
-def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Progress:
+def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: tuple[str, ...]) -> Resume:
     """Where a run starts: from a state, from another run, or from the scene itself (settled if it says so)."""
     if isinstance(initial, Resume):
         if set(initial.open) != set(observe):
             had, asked = (", ".join(sorted(names)) or "nothing" for names in (initial.open, observe))
             raise ValueError(f"observe must be what it was in the run that goes on, {had}, but is {asked}")
-        return Progress(
-            stick.fitted(model, initial.state),
-            initial.cause,
-            initial.failed_at,
-            initial.open,
-            initial.next_step,
-            initial.book,
-            initial.error,
-        )
-    state, found = None if initial is None else stick.fitted(model, initial), jnp.asarray(True)
-    if state is None:
-        state = initial_state(model, scene)
+        return replace(initial, state=stick.fitted(model, initial.state))
+    if initial is not None:
+        state = stick.fitted(model, initial)
+        found = jnp.all(jnp.isfinite(jnp.concatenate([state.x, state.y, state.heading, state.travel])))  # by `settle`
+    else:
+        state, found = initial_state(model, scene), jnp.asarray(True)
         if scene.initial == "settled":
             with jax.named_scope("settle"):
                 state, found = settle_model(model, state)
@@ -74,7 +55,17 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
     cause = jnp.where(cause == 0, _misplaced(model, at, world), cause).astype(jnp.int32)
     failed_at = jnp.where(cause == 0, jnp.inf, state.time)
     dtype, book = state.time.dtype, balance.opened(*lax.stop_gradient((model, state, at)))
-    return Progress(state, cause, failed_at, start, jnp.full((), FIRST, dtype), book, jnp.zeros((), dtype))
+    made = Resume(
+        state=state,
+        cause=cause,
+        failed_at=failed_at,
+        open=start,
+        next_step=jnp.full((), FIRST, dtype),
+        book=book,
+        error=jnp.zeros((), dtype),
+    )
+    # No weak types: what goes on from the end of a run is the same program as what goes on from here.
+    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), made)
 
 
 def _all_with_tangents(state: State) -> State:
@@ -87,14 +78,14 @@ def _all_with_tangents(state: State) -> State:
 def taken(
     model: Model,
     scene: Scene,
-    carry: Progress,
+    carry: Resume,
     after: State,
     touching: Contacts,
     h: Array,
     kept: Kept,
     observe: tuple[str, ...],
     explicit: bool = False,
-) -> Progress:
+) -> Resume:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
     before = carry.state
     # Judging has no derivative: nothing of it is carried on by one.
@@ -107,7 +98,7 @@ def taken(
     opened = carry.open
     if observe:
         opened = _observed(model, scene, carry.open, Seen(before, after, h, touching, kept), observe)
-    return Progress(
+    return Resume(
         state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
         cause=jnp.where(carry.cause == 0, cause, carry.cause),
         failed_at=jnp.where((carry.cause == 0) & (cause > 0), after.time, carry.failed_at),
@@ -143,23 +134,27 @@ def _misplaced(model: Model, at: Pose, world: Bodies) -> Array:
     return jnp.where(jnp.any(found.across), ACROSS, jnp.where(jnp.any(found.behind), BEHIND, 0))
 
 
-def searched(model: Model, found: Candidates, begun: Progress, carry: Progress) -> Progress:
+def searched(model: Model, found: Candidates, begun: Resume, carry: Resume) -> Resume:
     """The end of a block of steps that had `begun`: a failure if its candidates were not good until here, if a bar lies across a
-    guide or behind one, or if energy came from nowhere: then the run stands where its energy was last good."""
+    guide or behind one, or if energy came from nowhere: then the run stands, with what was observed, where its energy was
+    last good."""
     judged, reached, found = lax.stop_gradient((model, carry.state, found))  # judging has no derivative
     at, world = pose(judged, reached), bodies(judged, reached, reached.time, reached.time)
     near_enough = check_reach(judged, found, reached, at, world)
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
     cause = jnp.where(near_enough, _misplaced(judged, at, world), unseen)
-    book, state = carry.book, carry.state
+    book, good = carry.book, (carry.state, carry.open, carry.error)
     if balance.is_kept(model):
         book, gained = balance.judged(judged, lax.stop_gradient(book), reached, at, found.pace)
         gained &= (carry.cause == 0) & (cause == 0)
         cause = jnp.where(gained, FROM_NOWHERE, cause)
-        state = jax.tree.map(lambda a, b: jnp.where(gained, a, b), begun.state, state)
+        good = jax.tree.map(lambda a, b: jnp.where(gained, a, b), (begun.state, begun.open, begun.error), good)
     lost = (carry.cause == 0) & (cause > 0)
-    return carry._replace(
-        state=state,
+    return replace(
+        carry,
+        state=good[0],
+        open=good[1],
+        error=good[2],
         cause=jnp.where(lost, cause, carry.cause).astype(jnp.int32),
         failed_at=jnp.where(lost, carry.state.time, carry.failed_at),
         book=book,

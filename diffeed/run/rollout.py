@@ -26,7 +26,7 @@ from diffeed.readings.observe import OBSERVERS
 from diffeed.readings.snapshot import felt_by_bodies, gaps_to_bodies, look, part_names, snapshot
 from diffeed.readings.trajectory import Failure, Resume, Trajectory
 from diffeed.run import error_control
-from diffeed.run.progress import Progress, begin, recomputed, searched, taken
+from diffeed.run.progress import begin, recomputed, searched, taken
 from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
 
 BLOCK = 16
@@ -99,7 +99,7 @@ def simulate(
     warn_if_single(scene)
     duration = scene.duration if duration is None else float(duration)
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST
-    _refuse(duration, dt, frames, method, observe)
+    refuse(duration, dt, frames, method, observe)
     frames = int(frames)
     steps_of = dt if tolerance is None else None
     if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
@@ -109,7 +109,7 @@ def simulate(
         counts = plan(duration, dt, frames)
         return _simulate(scene, duration / counts.total, initial, counts, method, observe)
     refuse_control(tolerance, most_steps, frames, method)
-    control = error_control.Control(frames - 1, error_control.blocks(int(most_steps), frames), method, observe)
+    control = error_control.Control(frames - 1, int(most_steps), method, observe)
     return _simulate_to(scene, error_control.Limits(duration / (frames - 1), tolerance, dt), initial, control)
 
 
@@ -122,7 +122,7 @@ def at_start(scene: Scene, observe: tuple[str, ...] = ()) -> Resume:
 @jit_of_scene(static_argnames=("observe",))
 def _at_start(scene: Scene, observe: tuple[str, ...]) -> Resume:
     model, scene = build(scene), bare(scene)
-    return Resume(**begin(model, scene, None, observe)._asdict())
+    return begin(model, scene, None, observe)
 
 
 def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
@@ -130,7 +130,7 @@ def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAUL
     return _simulate(normalise(scene), dt, start, in_blocks(steps, 2), method, ())
 
 
-def _refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
+def refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
     for name, value in (("duration", duration), ("dt", dt)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be a positive number of seconds, but is {value}")
@@ -164,12 +164,12 @@ def _simulate(
     h = jnp.asarray(dt, scene.gravity.dtype)
     first = begin(model, scene, initial, observe)
 
-    def one_block(carry: Progress, start: Array) -> Progress:
+    def one_block(carry: Resume, start: Array) -> Resume:
         with jax.named_scope("search"):
             found = search(model, carry.state, counts.steps * h)
 
         @recomputed
-        def one_step(carry: Progress, k: Array) -> tuple[Progress, None]:
+        def one_step(carry: Resume, k: Array) -> tuple[Resume, None]:
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             after, touching = STEPPERS[method](model, carry.state, h, found.kept)
             after = replace(after, time=time)
@@ -181,7 +181,7 @@ def _simulate(
     if counts.total > MANY:
         one_block = jax.checkpoint(one_block, prevent_cse=False)  # in a scan nothing is merged that must not be
 
-    def block_of_frame(given: tuple[Progress, State, Array], _: None) -> tuple[tuple[Progress, State, Array], None]:
+    def block_of_frame(given: tuple[Resume, State, Array], _: None) -> tuple[tuple[Resume, State, Array], None]:
         carry, states, done = given  # the count goes along: as an input of the scan it would be stored for every block
         carry = one_block(carry, done * counts.steps)
         frame = 1 + done // counts.blocks  # its last block has the last word
@@ -211,7 +211,7 @@ def _simulate_to(
 def _trajectory(
     model: Model,
     scene: Scene,
-    last: Progress,
+    last: Resume,
     states: State,
     dt: Array,
     steps: Array,
@@ -236,18 +236,18 @@ def _trajectory(
             parts=part_names(model),
         ),
         observed={name: OBSERVERS[name].close(model, scene, last.open[name], last.state) for name in observe},
-        final=Resume(**last._asdict()),
+        final=last,
         states=states,
     )
 
 
-def _blamed(model: Model, last: Progress, h: Array) -> Array:
+def _blamed(model: Model, last: Resume, h: Array) -> Array:
     """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
     force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
     at, _, touching = look(model, last.state)
     assert touching.sheets is not None
     force, gap = felt_by_bodies(model, touching.sheets, at).force, gaps_to_bodies(model, touching.sheets)
-    about = severity(touching.sheets, keep_all(model), h)
+    about = severity(model, touching, keep_all(model), h)
     wrong = misplaced(model, last.state)
     astray = jnp.where(last.cause == BEHIND, wrong.behind, wrong.across).astype(gap.dtype)
     astray = jnp.concatenate([jnp.zeros((len(model.circle_names),)), astray])

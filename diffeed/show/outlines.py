@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, MovableRoller, Profile, Scene, Sheet
+from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, Motion, MovableRoller, Profile, Scene, Sheet
 from diffeed.model.guides import JOIN_TOLERANCE
 
 POINTS_PER_TURN = 180
@@ -33,11 +33,6 @@ def turning(roller: Any) -> int:
         return 0
     values = np.atleast_1d(vector(speed.values if isinstance(speed, Profile) else speed))
     return int(np.sign(values[np.argmax(np.abs(values))]))
-
-
-def is_driven(roller: Any) -> bool:
-    """Whether a speed is given for the roller; otherwise it turns freely."""
-    return roller.angular_speed is not None or roller.surface_speed is not None
 
 
 def travel_direction(roller: Any) -> np.ndarray | None:
@@ -70,7 +65,8 @@ def guide(scene: Scene, name: str) -> GuideOutline:
     if isinstance(part, CircleGuide):
         return _circle_guide(part)
     face, normals = _line_face(part) if isinstance(part, LineGuide) else _arc_face(part)
-    tips = [_tip(part, face[end], normals[end]) for end in (0, -1) if not _is_joined(scene, name, face[end])]
+    free = [] if _is_closed(part) else [end for end in (0, -1) if not _is_joined(scene, name, face[end])]
+    tips = [_tip(part, face[end], normals[end]) for end in free]
     keep = np.array(tips).reshape(-1, 3)
     return GuideOutline(face, _ticks(face, normals, float(part.depth)), keep[keep[:, 2] > 0.0])
 
@@ -196,16 +192,31 @@ def _tip(part: Any, end: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.append(end - radius * normal, radius)
 
 
+def _is_closed(part: Any) -> bool:
+    """Whether an arc goes all around: it has no ends then."""
+    return (
+        isinstance(part, ArcGuide) and abs(float(np.deg2rad(part.sweep))) > 2.0 * np.pi - JOIN_TOLERANCE / part.radius
+    )
+
+
 def _ends(part: Any) -> list[np.ndarray]:
-    if isinstance(part, CircleGuide):
+    if isinstance(part, CircleGuide) or _is_closed(part):
         return []
     face = _line_face(part)[0] if isinstance(part, LineGuide) else _arc_face(part)[0]
     return [face[0], face[-1]]
 
 
 def _is_joined(scene: Scene, name: str, end: np.ndarray) -> bool:
-    others = [point for other, part in scene.guides.items() if other != name for point in _ends(part)]
-    return any(np.hypot(*(point - end)) < JOIN_TOLERANCE for point in others)
+    """Whether an end is also that of another guide that moves alike, as the model has it."""
+    motion = scene.guides[name].motion
+    others = [p for other, p in scene.guides.items() if other != name and _same(p.motion, motion)]
+    return any(np.hypot(*(point - end)) < JOIN_TOLERANCE for part in others for point in _ends(part))
+
+
+def _same(a: Motion | None, b: Motion | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return all(np.array_equal(vector(getattr(a, f)), vector(getattr(b, f))) for f in Motion.__dataclass_fields__)
 
 
 def _ticks(face: np.ndarray, normals: np.ndarray, depth: float) -> np.ndarray:

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from diffeed.input.parts import Scene
+from diffeed.model.rollers import is_driven
 from diffeed.show import outlines
 
 SPARSE_BELOW = 1 / 3  # an array with a smaller share of non-zeros is stored as (index, value) pairs
@@ -40,16 +41,6 @@ def pack(values: Any) -> dict[str, Any]:
     return {"shape": array.shape, "f32": _base64(flat)}
 
 
-def unpack(packed: dict[str, Any]) -> np.ndarray:
-    """The inverse of `pack`."""
-    values = np.frombuffer(base64.b64decode(packed["f32"]), dtype="<f4")
-    if "index" not in packed:
-        return values.reshape(packed["shape"])
-    full = np.zeros(int(np.prod(packed["shape"])), dtype="<f4")
-    full[np.frombuffer(base64.b64decode(packed["index"]), dtype="<u4")] = values
-    return full.reshape(packed["shape"])
-
-
 def _base64(array: np.ndarray) -> str:
     return base64.b64encode(array.tobytes()).decode("ascii")
 
@@ -74,7 +65,7 @@ def _roller(roller: Any, track: Any) -> dict[str, Any]:
     direction = outlines.travel_direction(roller)
     return {
         "radius": float(roller.radius),
-        "driven": outlines.is_driven(roller),
+        "driven": is_driven(roller),
         "turning": outlines.turning(roller),
         "home": _rounded(roller.center),
         "direction": None if direction is None else _rounded(direction),

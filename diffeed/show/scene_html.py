@@ -12,7 +12,7 @@ from diffeed import plot
 from diffeed.base.record_html import record_table, table
 from diffeed.input.check_records import check_records
 from diffeed.input.parts import MovableRoller, Scene, normalise
-from diffeed.show import outlines
+from diffeed.model.rollers import is_driven
 
 SHOWN_PROBLEMS = 5
 
@@ -49,7 +49,7 @@ def _contents(scene: Scene) -> list[tuple[str, ...]]:
         (name, f"{float(s.length):g} × {float(s.width):g} × {float(s.thickness):g} mm, {s.bars} bars")
         for name, s in scene.sheets.items()
     ]
-    driven = [n for n, r in scene.rollers.items() if outlines.is_driven(r)]
+    driven = [n for n, r in scene.rollers.items() if is_driven(r)]
     sprung = [n for n, r in scene.rollers.items() if isinstance(r, MovableRoller) and n not in driven]
     idle = [n for n in scene.rollers if n not in driven and n not in sprung]
     for kind, names in (

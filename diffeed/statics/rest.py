@@ -73,7 +73,8 @@ def settle(scene: Scene, near: State | None = None) -> State:
     What friction holds still counts from where the scene's own records put things, so that the answer is the same.
 
     Differentiable by the implicit-function theorem. Where no rest state is found (a sheet in free fall) the state's
-    numbers are NaN, so that a run started from it fails and says so. Raises SceneError for numbers that no scene can have.
+    numbers but the time are NaN, and a run started from it fails and says so. Raises SceneError for numbers that no scene can
+    have.
     """
     scene = checked(scene)
     warn_if_single(scene)
@@ -85,7 +86,8 @@ def _settle(scene: Scene, near: State | None) -> State:
     model = build(scene)
     state, converged = settle_model(model, initial_state(model, scene), near)
     # A factor, not a choice: the gradient of what was not found is NaN as well, never a silent zero.
-    return jax.tree.map(lambda v: v * jnp.where(converged, 1.0, jnp.nan).astype(v.dtype), state)
+    found = jax.tree.map(lambda v: v * jnp.where(converged, 1.0, jnp.nan).astype(v.dtype), state)
+    return replace(found, time=state.time)
 
 
 def settle_model(model: Model, start: State, near: State | None = None) -> tuple[State, Array]:
@@ -115,9 +117,9 @@ def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
     if not any(still.sticks):
         return None
     creeping = with_positions(still, start, rest.q, (rest.q - positions(still, start)) / HOLD)
-    at, _, touching = look(still, creeping)
+    touching = look(still, creeping)[2]
     assert touching.sheets is not None
-    return stick.at_friction(still, at, touching.sheets, keep_all(still))
+    return stick.at_friction(still, touching.sheets, keep_all(still))
 
 
 def _imbalance(freed: Freed, rest: Rest) -> Rest:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffeed import plot_style
+from optimize.tolerance.statistics import exact_interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,9 +63,16 @@ def distribution(
     names = _legend(now, old, limits, before is not None)
     if now.size:
         at, share = _steps(now, view)
-        ends = _exact_interval(share, now.size)
+        band = [100.0 * end for end in exact_interval(np.round(share * now.size), now.size, LEVEL)]
         ax.fill_between(
-            at, *ends, step="post", color=AFTER, alpha=0.2, linewidth=0, label=f"{100 * LEVEL:g} % confidence"
+            at,
+            band[0],
+            band[1],
+            step="post",
+            color=AFTER,
+            alpha=0.2,
+            linewidth=0,
+            label=f"{100 * LEVEL:g} % confidence",
         )
         ax.step(at, 100.0 * share, where="post", color=AFTER, linewidth=1.4, label=names[0])
     if old.size:
@@ -242,16 +250,6 @@ def _steps(values: np.ndarray, view: tuple[float, float]) -> Ends:
     curve = ecdf(values).cdf
     ends = min(view[0], values.min()), max(view[1], values.max())
     return np.r_[ends[0], curve.quantiles, ends[1]], np.r_[0.0, curve.probabilities, 1.0]
-
-
-def _exact_interval(share: np.ndarray, count: int) -> Ends:
-    """Clopper-Pearson interval (%) of each share of `count` draws."""
-    from scipy.stats import beta
-
-    k, tail = np.round(share * count), 0.5 * (1.0 - LEVEL)
-    low = np.where(k > 0, beta.ppf(tail, np.maximum(k, 1), count - k + 1), 0.0)
-    high = np.where(k < count, beta.ppf(1.0 - tail, k + 1, np.maximum(count - k, 1)), 1.0)
-    return 100.0 * low, 100.0 * high
 
 
 def _known(limits: Limits) -> dict[str, float]:

@@ -23,7 +23,7 @@ class Rows(NamedTuple):
     deviation: np.ndarray  # (samples, inputs)
     status: np.ndarray  # index into measures.STATUSES
     reason: np.ndarray
-    time: np.ndarray  # s, of the verdict; infinite for a sheet that was still moving at the end
+    time: np.ndarray  # s, of the verdict: as `measures.outcome` has it
     values: np.ndarray  # (samples, asked) measures, then limits; NaN in a run that failed
     broken: np.ndarray  # (samples, limits) bool
 

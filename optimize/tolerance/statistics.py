@@ -17,13 +17,9 @@ BITS = 30
 """Binary digits of a Sobol point."""
 
 
-class Proportion(NamedTuple):
-    value: float
-    low: float
-    high: float
-
-
 class Estimate(NamedTuple):
+    """A value and the ends of its confidence interval, of one unit."""
+
     value: float
     low: float
     high: float
@@ -92,7 +88,7 @@ class Slope(NamedTuple):
     error: float
 
 
-def proportion(failures: int, runs: int, level: float = 0.95) -> Proportion:
+def proportion(failures: int, runs: int, level: float = 0.95) -> Estimate:
     """Failures over runs, with the exact interval of Clopper and Pearson (1934); nan in [0, 1] without runs.
 
     ValueError for more failures than runs, or fewer than none.
@@ -102,9 +98,16 @@ def proportion(failures: int, runs: int, level: float = 0.95) -> Proportion:
             f"failures must not be greater than the number of runs, {runs}, nor negative, but are {failures}"
         )
     if runs == 0:
-        return Proportion(math.nan, 0.0, 1.0)
-    interval = stats.binomtest(failures, runs).proportion_ci(level, method="exact")
-    return Proportion(failures / runs, float(interval.low), float(interval.high))
+        return Estimate(math.nan, 0.0, 1.0)
+    low, high = exact_interval(failures, runs, level)
+    return Estimate(failures / runs, float(low), float(high))
+
+
+def exact_interval(counts: Any, runs: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the interval of Clopper and Pearson (1934) for each of several counts out of so many runs."""
+    k, tail = np.asarray(counts), 0.5 * (1.0 - level)
+    low = np.where(k > 0, stats.beta.ppf(tail, np.maximum(k, 1), runs - k + 1), 0.0)
+    return low, np.where(k < runs, stats.beta.ppf(1.0 - tail, k + 1, np.maximum(runs - k, 1)), 1.0)
 
 
 def percentile(values: Any, share: float, level: float = 0.95) -> Estimate:
