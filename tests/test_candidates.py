@@ -78,7 +78,7 @@ def test_no_pair_touches_unless_its_normal_says_so(skin):
 def _counted(skin, seed):
     """Pairs that touch anew without a warning, that touch anew, that were warned of, and all."""
     scene = normalise(replace(draw("guided", seed), skin=skin))
-    model, rng = build(scene), np.random.default_rng(seed)
+    model, rng = jax.jit(build)(scene), np.random.default_rng(seed)
     start = initial_state(model, scene)
     n = model.layout.n_bars
     counts = np.zeros(4, int)
@@ -93,14 +93,17 @@ def _counted(skin, seed):
         )
         (x0, y0), (x1, y1) = (nodes(model, pose(model, s)) for s in (state, after))
         way = (x1 - x0, y1 - y0)
-        motions = ways(*(bodies(model, s, s.time, s.time) for s in (state, after))).values()
-        for (before, touches), (_, touches_then), motion in zip(
-            seen(model, state), seen(model, after), motions, strict=True
-        ):
-            warned = np.asarray(used_up(model, before, way, motion))
-            new = np.asarray(touches_then & ~touches)
+        for warned, touches, touches_then in jax.device_get(_warned(model, state, after, way)):
+            new = touches_then & ~touches
             counts += [np.sum(new & ~warned), new.sum(), warned.sum(), warned.size]
     return counts
+
+
+@jax.jit
+def _warned(model, state, after, way):
+    motions = ways(*(bodies(model, s, s.time, s.time) for s in (state, after))).values()
+    both = zip(seen(model, state), seen(model, after), motions, strict=True)
+    return [(used_up(model, before, way, motion), touches, then) for (before, touches), (_, then), motion in both]
 
 
 def pressed() -> diffeed.Scene:
