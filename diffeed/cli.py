@@ -220,7 +220,10 @@ def _run(ask: Request) -> int:
             _refuse_too_fine(ask, scene)
         with draft_of(ask.out, kept) if ask.out else nullcontext() as draft:
             progress = _simulate(ask, scene, begun)
-            return _finish(ask, scene, progress, draft, earlier)
+            status = _finish(ask, scene, progress, draft, earlier)
+        if progress.stopped:
+            leave_at_once(status)
+        return status
 
 
 def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
@@ -280,7 +283,7 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
         names = write_files(draft, ask.out, scene, trajectory, summary, earlier and (earlier.scene, earlier.run))
         click.echo(f"written to {ask.out}: {', '.join(names)}")
     if progress.stopped:
-        leave_at_once(130)
+        return 130
     return 0 if trajectory.ok and (confirmed is None or confirmed.holds) else 1
 
 

@@ -73,6 +73,8 @@ def design(
     """
     if resume and out is None:
         raise Refusal("--resume needs --out, the folder of the search")
+    if resume and force:
+        raise Refusal("--resume goes on with what is there, --force replaces it: give one of them")
     problem = _problem(study, fuse, _changes(iterations, seconds))
     from optimize.design_run import design as run
     from optimize.journal import JournalError

@@ -144,7 +144,7 @@ def _judge(problem: Problem, progress: Progress, found: Evaluated) -> None:
     """Good points move the anchor and may be the best so far; bad ones fall back."""
     objective = np.array([float(over_media(problem, jnp.asarray(o))) for o in found.seen.objective])
     worst = found.seen.violation.reshape(len(objective), -1).max(axis=1, initial=-np.inf)
-    for i in range(len(objective)):
+    for i in np.flatnonzero(progress.falls < ROLLBACKS):  # what was given up stays where it could last be evaluated
         fine = np.isfinite(found.value[i]) and np.isfinite(found.gradient[i]).all() and found.seen.ok[i].all()
         if not fine:
             progress.falls[i] += 1
@@ -156,10 +156,10 @@ def _judge(problem: Problem, progress: Progress, found: Evaluated) -> None:
             progress.best[i] = progress.unit[i]  # the score of an easier problem does not count
         elif worst[i] <= SLACK and objective[i] < progress.merit[i]:
             if objective[i] < _gained(progress.merit.min(), problem.study.search.gain):
-                progress.since = progress.iteration
+                progress.since = progress.iteration + 1
             progress.merit[i], progress.best[i] = objective[i], progress.unit[i]
         elif not np.isfinite(progress.merit[i]) and worst[i] < progress.closest[i]:
-            progress.closest[i], progress.best[i], progress.since = worst[i], progress.unit[i], progress.iteration
+            progress.closest[i], progress.best[i], progress.since = worst[i], progress.unit[i], progress.iteration + 1
 
 
 def _gained(best: float, gain: float) -> float:
@@ -215,24 +215,28 @@ def _newton_like(problem: Problem) -> Any:
     compiled: dict[float | None, Any] = {}
 
     def make(duration: float | None) -> Any:
-        def one(unit: Any, level: Any, slope: Any, state: Any, multipliers: Any, penalty: Any, smoothing: Any) -> Any:
+        def one(
+            unit: Any, level: Any, slope: Any, pace: Any, state: Any, multipliers: Any, penalty: Any, smoothing: Any
+        ) -> Any:
             def of(z: Any) -> Any:
-                return loss(problem, free.closed(z), multipliers, penalty, Settings(smoothing, duration))[0]
+                value, seen = loss(problem, free.closed(z), multipliers, penalty, Settings(smoothing, duration))
+                return jnp.where(jnp.all(seen.ok), value, jnp.inf)  # a point whose run fails is never taken
 
             z = free.opened(unit)
             gradient = slope * jax.grad(lambda y: jnp.sum(free.closed(y)))(z)
             update, state = optimiser.update(gradient, state, z, value=level, grad=gradient, value_fn=of)
             taken = optax.tree.get(state, "num_linesearch_steps")
-            return free.closed(z + update), state, taken
+            return free.closed(z + pace * update), state, taken
 
-        return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, 0, 0, None)))
+        return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, 0, 0, 0, None)))
 
     def move(progress: Progress, settings: Settings) -> tuple[np.ndarray, Any, int]:
         if settings.duration not in compiled:
             compiled[settings.duration] = make(settings.duration)
         after, state, taken = compiled[settings.duration](
-            jnp.asarray(progress.good), jnp.asarray(progress.level), jnp.asarray(progress.slope), progress.state,
-            jnp.asarray(progress.multipliers), jnp.asarray(progress.penalty), jnp.asarray(settings.smoothing),
+            jnp.asarray(progress.good), jnp.asarray(progress.level), jnp.asarray(progress.slope),
+            jnp.asarray(progress.pace), progress.state, jnp.asarray(progress.multipliers),
+            jnp.asarray(progress.penalty), jnp.asarray(settings.smoothing),
         )  # fmt: skip
         return (
             np.asarray(after),
@@ -297,3 +301,4 @@ def _next_stage(problem: Problem, progress: Progress) -> None:
     progress.unit = progress.best.copy()
     progress.state = _fresh(problem, progress.unit, progress.stage)
     progress.level = np.where(progress.falls < ROLLBACKS, progress.level, np.inf)
+    progress.falls[:] = 0

@@ -118,7 +118,8 @@ def score(problem: Problem, unit: np.ndarray) -> Scored:
         values=dict(zip(problem.names, map(float, values), strict=True)),
         goals=np.asarray(seen.goals),
         limits=np.asarray(seen.limits),
-        objective=float(over_media(problem, jnp.asarray(seen.objective))),
+        # Where machines scatter, one whose run fails has no objective to take part in the mean or the worst.
+        objective=float(over_media(problem, jnp.asarray(seen.objective))) if np.all(seen.ok) else np.nan,
         violation=float(seen.violation.max(initial=-1.0)),
         verdicts=tuple(measures.verdict(*of) for of in zip(scenes, runs, strict=True)),
         missed=by_limit(problem.limits, np.asarray(seen.violation)),

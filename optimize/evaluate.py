@@ -42,7 +42,8 @@ def _without_outliers(gradient: Array, fine: Array) -> Array:
     """(points, samples, n) gradients with the longest ones shortened: near an impact one sample in ten has a derivative a
     thousand times that of the others, and a plain mean would follow it alone. A single sample stays as it is."""
     length = jnp.sqrt(jnp.sum(gradient**2, axis=2))
-    limit = OUTLIER * jnp.nanmedian(jnp.where(fine, length, jnp.nan), axis=1, keepdims=True)
+    # Of those that have a slope: a measure may be flat in most of the neighbourhood.
+    limit = OUTLIER * jnp.nanmedian(jnp.where(fine & (length > 0), length, jnp.nan), axis=1, keepdims=True)
     return gradient * jnp.where(length > limit, limit / jnp.where(length > 0, length, 1.0), 1.0)[:, :, None]
 
 

@@ -6,7 +6,12 @@ import optax
 
 from optimize.study import Search
 
-_LEFT_OUT = ("lbfgs", "sophia", "multi_transform", "masked", "polyak_sgd", "optimistic_gradient_descent")
+_LEFT_OUT = (
+    "lbfgs", "sophia", "multi_transform", "masked", "polyak_sgd", "optimistic_gradient_descent", "noisy_sgd",
+    "optimistic_adam",  # deprecated
+)  # fmt: skip
+UNSCHEDULED = ("rprop", "sm3")
+"""Their learning rate must be a number."""
 
 
 def _is_optimiser(name: str) -> bool:

@@ -80,8 +80,9 @@ class Problem:
         start = free.physical(self.variables, jnp.asarray(self.start))
         sizes = [v.tolerance or 0.01 * (v.bounds[1] - v.bounds[0]) for v in self.variables]
         moved = np.clip(np.asarray(start) + sizes, *np.array([v.bounds for v in self.variables]).T)
-        back = np.asarray(start) - (moved - np.asarray(start) < 0.5 * np.array(sizes)) * sizes
-        ends = np.where(moved - np.asarray(start) < 0.5 * np.array(sizes), back, moved)
+        back = np.clip(np.asarray(start) - sizes, *np.array([v.bounds for v in self.variables]).T)
+        ahead, behind = moved - np.asarray(start), np.asarray(start) - back
+        ends = np.where((ahead < 0.5 * np.array(sizes)) & (behind > ahead), back, moved)
         return np.abs(np.asarray(free.unit(self.variables, ends)) - self.start)
 
     def deviations(self, iteration: int = 0) -> np.ndarray:
@@ -233,7 +234,10 @@ def make_problem(
     scenes = {name: changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
     scenes = scenes or {"": base}
     problems += _variable_problems(study, base)
-    inputs = inputs_of(study.tolerances, {}, base, folder or Path(), problems)
+    moving = [name for name, tolerance in study.tolerances.items() if tolerance.climate is not None]
+    problems += [f"tolerances.{n}.climate belongs to tolerance studies, whose media are cards" for n in moving]
+    tolerances = {name: t for name, t in study.tolerances.items() if name not in moving}
+    inputs = inputs_of(tolerances, {}, base, folder or Path(), problems)
     goals = tuple(resolved("objective", n, g, base, problems) for n, g in study.objective.items())
     limits = tuple(resolved("limits", n, g, base, problems) for n, g in study.limits.items())
     problems += _setting_problems(study)
@@ -275,10 +279,15 @@ def _at_once(study: Study) -> int:
 
 
 def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
+    owners: dict[str, str] = {}
     for name, variable in study.variables.items():
         where = f"variables.{name}"
         found = []
         for path in variable.paths:
+            if owners.setdefault(path, name) != name:
+                found.append(
+                    f"{where}.path must name other numbers than variables.{owners[path]}, but names {path} again"
+                )
             try:
                 number_at(scene, path)
             except ValueError as error:
@@ -297,7 +306,7 @@ def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
 
 
 def _setting_problems(study: Study) -> Iterator[str]:
-    from optimize.optimisers import OPTIMISERS
+    from optimize.optimisers import OPTIMISERS, UNSCHEDULED
 
     if study.method not in diffeed.METHODS:
         known, near = ", ".join(diffeed.METHODS), nearest(study.method, diffeed.METHODS)
@@ -306,6 +315,8 @@ def _setting_problems(study: Study) -> Iterator[str]:
         yield 'robust.redraw must be false for "lbfgs": its line search compares points'
     if study.search.gradient == "expected" and study.search.name == "lbfgs":
         yield 'search.gradient must be "exact" for "lbfgs", whose line search compares single points, but is "expected"'
+    if study.search.name in UNSCHEDULED and study.search.schedule != "constant":
+        yield f'search.schedule must be "constant" for "{study.search.name}", but is "{study.search.schedule}"'
     if study.search.name not in OPTIMISERS:
         known, near = ", ".join(OPTIMISERS), nearest(study.search.name, OPTIMISERS)
         yield f'search.name must be an optimiser of optax ({known}), but is "{study.search.name}"{near}'

@@ -72,6 +72,13 @@ class Moved(Record):
     meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
 
     @model_validator(mode="after")
+    def _named_once(self) -> "Moved":
+        for moved in (self.paths, self.shift or [], self.turn or []):
+            if twice := sorted({name for name in moved if moved.count(name) > 1}):
+                raise ValueError(f"each number or part must be named once, but {', '.join(twice)} is named again")
+        return self
+
+    @model_validator(mode="after")
     def _one_meaning(self) -> "Moved":
         given = [name for name in self.meanings if getattr(self, name)]
         if len(given) != 1:

@@ -315,7 +315,7 @@ def test_the_command_runs_what_was_advised(swept):
     row = row_of(0.1, 1.0, 2e-4)
     found = front_of([row], assignments=("rollers.drive.radius=10.1",))
     assert advise.command(found, row) == (
-        "diffeed run made_up --dt 2e-4 --method linear_euler --set rollers.drive.radius=10.1"
+        f"diffeed run made_up --duration {found.duration:g} --dt 2e-4 --method linear_euler --set rollers.drive.radius=10.1"
     )
     assert advise.call(row) == "diffeed.simulate(scene, dt=2e-4, method='linear_euler')"
 

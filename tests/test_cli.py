@@ -564,6 +564,21 @@ def test_what_is_hardly_meant_is_said_and_what_is_not_there_is_guessed():
     assert "checking" not in again.output, "nothing is checked of what is not there"
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("duration=abc", "duration must be"),
+        ("duration=[1,2]", "duration must be"),
+        ("sheets.film=3", "sheets.film must be a Sheet"),
+        ("guides=3", "guides must be a table of named parts"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_said_before_any_remark(change, said):
+    done = invoke("check", "film_feeder", "--set", change)
+    assert done.exit_code == 2
+    assert said in done.output
+
+
 def test_a_tolerance_is_said_to_be_that_of_a_step():
     run = {"tolerance": 0.01}
     assert report._steps(run) == "The tolerance of 0.01 mm is that of each step; together they leave"

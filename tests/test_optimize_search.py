@@ -16,9 +16,9 @@ from optimize import blame_map, descent, evaluate, programs
 from optimize.asked import values_of
 from optimize.confirmation import in_finer_steps
 from optimize.design_run import design, finish, score
-from optimize.evaluate import Evaluator
+from optimize.evaluate import Evaluated, Evaluator
 from optimize.journal import FILES, HISTORY, Journal, JournalError
-from optimize.problem import Settings, eased, look, make_problem, over_media, simulate
+from optimize.problem import Seen, Settings, eased, look, make_problem, over_media, simulate
 from optimize.report import write_result
 from optimize.study_file import make_study
 
@@ -281,6 +281,90 @@ def test_a_search_whose_time_is_up_at_the_end_of_a_stage_goes_on_with_the_next()
     descent.stop(problem, progress)
     assert "time of 1 s" in progress.reason
     assert progress.stage == 1
+
+
+class Landscape:
+    """A search without runs: the loss of each start, and which points hold."""
+
+    def __init__(self, monkeypatch, value, holds, **search):
+        self.units, self.problem = [], problem_of(search=search)
+
+        def seen(u, k):
+            nothing = jnp.zeros((1, 1))
+            return Seen(nothing, nothing[:, :0], nothing[:, :0], value(u)[None], jnp.asarray(holds(u, k))[None])
+
+        landscape = self
+
+        class Mock(Evaluator):
+            def gradients(self, unit, multipliers, penalty, settings):
+                landscape.units.append(unit.copy())
+                rows = [(value(u), jax.grad(value)(u), seen(u, k)) for k, u in enumerate(jnp.asarray(unit))]
+                return Evaluated(*jax.device_get(jax.tree.map(lambda *v: jnp.stack(v), *rows)))
+
+        monkeypatch.setattr(descent, "Evaluator", Mock)
+        monkeypatch.setattr(descent, "loss", lambda problem, u, m, p, s: (value(u), seen(u, 0)))
+
+    def searched(self):
+        progress = descent.begin(self.problem)
+        return [(p.falls.copy(), line, p.reason) for p, line in descent.search(self.problem, progress)], progress
+
+
+@pytest.mark.parametrize("name", ["sgd", "lbfgs"])
+def test_a_search_stops_before_runs_that_fail(name, monkeypatch):
+    """Less would be had at 0.9, but nothing holds from 0.7 on: the last point that holds is near there."""
+    on = Landscape(
+        monkeypatch,
+        lambda u: jnp.sum((u - 0.9) ** 2),
+        lambda u, k: u[0] < 0.7,
+        name=name,
+        learning_rate=1.0,
+        iterations=25,
+    )
+    lines, progress = on.searched()
+    assert 0.65 < progress.best[0, 0] < 0.7
+    assert len(lines) == 25
+
+
+def test_a_start_that_is_given_up_stays_so(monkeypatch):
+    """The first holds at its first point alone, the second everywhere."""
+    on = Landscape(
+        monkeypatch, lambda u: jnp.sum(u), lambda u, k: k == 1 or len(on.units) == 1,
+        name="sgd", learning_rate=1e-3, starts=2, iterations=22, patience=100,
+    )  # fmt: skip
+    lines, _ = on.searched()
+    alive = [line.alive for _, line, _ in lines]
+    assert alive == [2] * 8 + [1] * 14
+    assert lines[-1][0].tolist() == [8, 0]
+
+
+@pytest.mark.parametrize("patience", [1, 4])
+def test_patience_counts_iterations_without_a_gain(patience, monkeypatch):
+    """Flat: the first point is a gain, all others are none."""
+    on = Landscape(
+        monkeypatch, lambda u: 1.0 + 0.0 * jnp.sum(u), lambda u, k: True, name="sgd", patience=patience, iterations=30
+    )
+    lines, progress = on.searched()
+    assert len(lines) == 1 + patience
+    assert progress.reason.endswith(f"in {patience} iterations")
+
+
+def test_an_expected_gradient_is_not_lost_where_most_samples_are_flat():
+    """Samples without a slope say nothing of how long one may be."""
+    slopes = jnp.array([[[0.0], [0.0], [0.0], [0.0], [0.0], [1.0], [1.0], [100.0]]])
+    found = evaluate._without_outliers(slopes, jnp.ones((1, 8), bool))
+    np.testing.assert_allclose(found[0, :, 0], [0, 0, 0, 0, 0, 1.0, 1.0, evaluate.OUTLIER])
+
+
+def test_a_point_at_which_a_machine_fails_is_no_result():
+    """As drawn it runs; of six that scatter widely some do not, and what those would give is worth nothing."""
+    wild = {
+        "tolerances": {"preload": {"path": "rollers.pinch.preload", "sigma": 300.0}},
+        "robust": {"samples": 6},
+    }
+    point = score(problem_of(**wild), problem_of().start)
+    assert point.verdicts[0].status == "passed"
+    assert np.isnan(point.objective)
+    assert point.rank > replace(point, objective=1e6).rank
 
 
 def test_slip_is_held_against_the_floor_of_the_law_that_the_run_had():

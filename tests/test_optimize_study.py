@@ -1,10 +1,14 @@
 """Study files: what is wrong is said all at once, with path, value and what it must be."""
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from stand_in_nip import nip
 
 import diffeed
 import optimize
+from optimize.optimisers import OPTIMISERS, UNSCHEDULED, make_optimiser
 from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, make_study, read_table, shipped_studies
 from optimize.tolerance.problem import load_tolerance
@@ -15,6 +19,8 @@ GOOD = {
     "objective": {"force": {"measure": "nip_force", "of": "pinch", "target": 4.0}},
 }
 
+FELL = np.array([True, False, False])
+
 THIN = {"sheets.strip.thickness": 0.15}
 
 
@@ -22,6 +28,49 @@ def problems_of(table, scene=None):
     with pytest.raises(optimize.StudyError) as caught:
         make_problem(make_study(table), scene=scene or nip())
     return caught.value.problems
+
+
+def test_what_two_variables_or_one_twice_would_move():
+    """The last would win, and the first have no effect."""
+    preload = GOOD["variables"]["preload"]
+    (problem,) = problems_of(GOOD | {"variables": {"preload": preload, "again": preload}})
+    assert problem.startswith(
+        "variables.again.path must name other numbers than variables.preload, but names rollers.pinch"
+    )
+    twice = {"shift": ["rollers.pinch", "rollers.pinch"], "direction": [0, 1], "bounds": [0, 1]}
+    with pytest.raises(optimize.StudyError, match="rollers.pinch is named again"):
+        make_study(GOOD | {"variables": {"nip": twice}})
+
+
+def test_a_tolerance_wider_than_the_room_ends_at_a_bound():
+    wide = GOOD["variables"]["preload"] | {"bounds": [0.5, 3.3], "transform": "log", "tolerance": 9.0}
+    problem = make_problem(make_study(GOOD | {"variables": {"preload": wide}}), scene=nip())
+    assert problem.tolerance == pytest.approx(problem.start)  # down to the lower bound
+
+
+def test_what_an_optimiser_cannot_take_is_said():
+    (problem,) = problems_of(GOOD | {"search": {"name": "rprop", "schedule": "cosine"}})
+    assert problem == 'search.schedule must be "constant" for "rprop", but is "cosine"'
+    assert any("search.name must be" in p for p in problems_of(GOOD | {"search": {"name": "noisy_sgd"}}))
+    climate = {"tolerances": {"air": {"climate": "strip", "sigma": 0.3}}}
+    (problem,) = problems_of(GOOD | climate)
+    assert problem == "tolerances.air.climate belongs to tolerance studies, whose media are cards"
+
+
+@pytest.mark.usefixtures("as_users_have_it")
+@pytest.mark.parametrize("name", [n for n in OPTIMISERS if n != "lbfgs"])
+def test_every_optimiser_steps_falls_back_and_is_kept(name, tmp_path):
+    """As the search does it: over several starts, of which some go back, and in a file."""
+    search = make_study(GOOD | {"search": {"name": name, "schedule": "constant"}}).search
+    schedules = ["constant"] if name in UNSCHEDULED else ["constant", "cosine", "exponential"]
+    for schedule in schedules:
+        transform = make_optimiser(search.model_copy(update={"schedule": schedule}), 10)
+        unit = jnp.array([[0.2, 0.5], [0.4, 0.6], [0.3, 0.9]])
+        state = jax.device_get(jax.vmap(transform.init)(unit))
+        step, after = jax.device_get(jax.jit(jax.vmap(transform.update))(0.1 * unit, state, unit))
+        assert np.isfinite(step).all()
+        mixed = jax.tree.map(lambda a, b: np.where(FELL.reshape(-1, *[1] * (np.ndim(a) - 1)), b, a), after, state)
+        np.savez(tmp_path / "state.npz", *jax.tree.leaves(mixed))
 
 
 def test_a_good_study_has_no_problems():

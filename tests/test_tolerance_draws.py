@@ -65,6 +65,16 @@ def test_measured_values_are_drawn_as_they_were_measured(tmp_path):
         make_tolerance(BASE | {"tolerances": {"preload": bad}}, folder=tmp_path, scene=nip())
 
 
+def test_decimal_commas_and_limits_of_measured_values_are_refused(tmp_path):
+    """One as a second column that has no heading, the other as something that nothing would heed."""
+    (tmp_path / "parts.csv").write_text("preload\n2,5\n3,5\n")
+    spec = {"path": "rollers.pinch.preload", "kind": "data", "file": "parts.csv", "column": "preload"}
+    with pytest.raises(StudyError, match=r"line 2 has more entries than there are headings \(decimal commas\?\)"):
+        make_tolerance(BASE | {"tolerances": {"preload": spec}}, folder=tmp_path, scene=nip())
+    with pytest.raises(StudyError, match='limits belong to kind = "truncated_normal"'):
+        make_tolerance(BASE | {"tolerances": {"preload": spec | {"limits": [-0.1, 0.1]}}}, folder=tmp_path, scene=nip())
+
+
 def test_like_parts_are_independent_unless_tied():
     both = {"path": ["rollers.drive.radius", "rollers.pinch.radius"], "sigma": 0.01}
     apart = problem(tolerances={"radius": both})

@@ -437,6 +437,25 @@ def test_a_worker_gets_numbers_and_measures_in_the_order_of_the_study(monkeypatc
     assert [a.name for a in there.asked] == ["fed", "zero", "force"]
 
 
+def test_a_cluster_that_gives_up_says_so_in_a_sentence(monkeypatch):
+    distributed = pytest.importorskip("dask.distributed")
+    from optimize.tolerance.cluster import ClusterError, on_cluster
+
+    class Task:
+        def result(self):
+            raise distributed.CancelledError("run_chunk-1", "scheduler restarted")
+
+    class Client:
+        def submit(self, *given, **how):
+            return Task()
+
+    monkeypatch.setattr(distributed, "as_completed", iter)
+    with pytest.raises(
+        ClusterError, match=r"^the cluster gave up: .*run_chunk-1.*; what was run is kept, --resume goes on$"
+    ):
+        list(on_cluster(problem(), Client(), 4)(np.arange(4), drawn(problem())[:4]))
+
+
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_gives_the_same_rows(rows):
     from optimize.tolerance.cluster import connect, on_cluster
@@ -606,6 +625,7 @@ range = [-0.01, 0.01]
     assert "--resume" in again.stderr
     more = run("tolerance", "study.toml", "--out", "made", "--resume", "--samples", "30", "--no-pictures")
     assert more.returncode == 0, more.stderr
+    assert not list((tmp_path / "made").glob("*.png")), "pictures of 24 samples beside the numbers of 30"
     compared = run("tolerance", "study.toml", "--out", "after", "--before", "made", "--samples", "30")
     assert compared.returncode == 0, compared.stderr
     assert "before" in compared.stdout

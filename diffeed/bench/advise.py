@@ -151,7 +151,17 @@ def cheaper_models(front: Front, row: Row, wanted: dict[str, float]) -> list[str
 def command(front: Front, row: Row) -> str:
     """The command line that runs a scene so."""
     s = row.setting
-    words = ["diffeed", "run", front.scene, "--dt", power(s.dt), "--method", s.method]
+    words = [
+        "diffeed",
+        "run",
+        front.scene,
+        "--duration",
+        f"{front.duration:g}",
+        "--dt",
+        power(s.dt),
+        "--method",
+        s.method,
+    ]
     words += [] if s.tolerance is None else ["--tolerance", power(s.tolerance)]
     words += ["--float32"] if s.precision == "float32" else []
     for change in (*front.assignments, *s.changes):

@@ -16,7 +16,7 @@ from jax import Array
 
 from diffeed.input.check_records import checked
 from diffeed.input.parts import Scene
-from diffeed.input.paths import number_at, put
+from diffeed.input.paths import numbers_at, put
 from diffeed.model.build import build
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run import error_control
@@ -122,7 +122,7 @@ def value_and_gradient(
         if mode == "forward":
             raise ValueError("the gradient with respect to every number needs mode='reverse'; or name some paths")
         return _program(measure, how, "whole")(scene, {}, tolerance)
-    values = {p: jnp.asarray(number_at(scene, p)) for p in paths}
+    values = {p: jnp.asarray(numbers_at(scene, p)) for p in paths}
     count = sum(v.size for v in values.values())
     chosen = gradient_plan(scene, count, duration, dt, frames, mode, tolerance, most_steps).mode
     return _program(measure, how, chosen)(scene, values, tolerance)

@@ -16,7 +16,7 @@ from jax import Array
 
 from diffeed.input.check_records import checked
 from diffeed.input.parts import Scene
-from diffeed.input.paths import number_at, put, unit
+from diffeed.input.paths import numbers_at, put, unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run.rollout import MOST_STEPS, simulate
 from diffeed.steppers import DEFAULT
@@ -91,7 +91,7 @@ def gradient_check(
     (the nearest frames); None: the end. `samples` runs are spread over each span.
     """
     scene = checked(scene)
-    start = np.array([float(number_at(scene, p)) for p in paths])
+    start = np.array([float(numbers_at(scene, p)) for p in paths])
     spans = spans or {}
     widths = np.array([spans.get(p, 2e-3 * abs(v) or 1e-3) for p, v in zip(paths, start, strict=True)])
     run_of = functools.partial(

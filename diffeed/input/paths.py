@@ -63,7 +63,7 @@ def unit(scene: Scene, path: str) -> str:
     return found.metadata["unit"]
 
 
-def number_at(scene: Scene, path: str) -> Any:
+def numbers_at(scene: Scene, path: str) -> Any:
     """The number or vector at a path. PathError, a ValueError, for one that holds a word or a part, or an optional number that is
     not given."""
     unit(scene, path)

@@ -56,6 +56,8 @@ def tolerance(study: str, **options: Any) -> None:
     """
     if options["resume"] and options["out"] is None:
         raise Refusal("--resume needs --out, the folder of the study")
+    if options["resume"] and options["force"]:
+        raise Refusal("--resume goes on with what is there, --force replaces it: give one of them")
     if options["replay"] and options["out"] is None:
         raise Refusal("--replay needs --out, the folder for the animation")
     if options["workers"] and options["scheduler"]:

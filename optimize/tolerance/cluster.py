@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from diffeed.base.words import short
 from optimize.tolerance.problem import ToleranceProblem, packed, unpacked
 from optimize.tolerance.run import Evaluator, Rows, chunks
 from optimize.tolerance.spread import TOGETHER
@@ -55,7 +56,14 @@ def on_cluster(problem: ToleranceProblem, client: Any, chunk: int = TOGETHER) ->
             for k in chunks(np.arange(len(sample)), chunk)
         ]
         for done in as_completed(tasks):
-            yield done.result()
+            try:
+                found = done.result()
+            except Exception as error:  # of a worker, of the scheduler, of the way there
+                told = str(error).strip() or type(error).__name__
+                raise ClusterError(
+                    f"the cluster gave up: {short(told)}; what was run is kept, --resume goes on"
+                ) from error
+            yield found
             done.release()
 
     return run

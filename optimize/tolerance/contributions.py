@@ -64,8 +64,8 @@ def refuse_groups(problem: ToleranceProblem) -> None:
 def indices(problem: ToleranceProblem, count: int, runner: Runner | None, folder: Any, **how: Any) -> list[Indices]:
     """Sobol indices of every measure and limit, with intervals: count * (inputs + 2) runs of their own.
 
-    The inputs must be independent (`refuse_groups`). A failed run has no value; it
-    takes the mean of the others, which draws the indices towards zero.
+    The inputs must be independent (`refuse_groups`). A failed run has no value, and none of the runs that it belongs with counts:
+    the indices are those of the machines that work (`Indices.points` says of how many).
     """
     refuse_groups(problem)
     d = len(problem.inputs)
@@ -75,8 +75,6 @@ def indices(problem: ToleranceProblem, count: int, runner: Runner | None, folder
     found = []
     for k in range(len(problem.asked)):
         values = rows.values[:, k]
-        fine = np.isfinite(values)
-        values = np.where(fine, values, np.mean(values[fine]) if fine.any() else np.nan)
         f_a, f_b, f_ab = values[:count], values[count : 2 * count], values[2 * count :].reshape(d, count)
         found.append(sobol(f_a, f_b, f_ab, problem.study.seed))
     return found

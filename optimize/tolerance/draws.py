@@ -197,7 +197,7 @@ def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.
             if of.column not in known:
                 problems.append(f'{where}.column: {path} has no column "{of.column}"{hint(of.column, known)}')
                 return None
-            values = np.array([float(row[of.column]) for row in rows])
+            values = np.array([_entry(row, str(of.column), rows.line_num) for row in rows])
     except (OSError, ValueError, TypeError, csv.Error) as error:
         problems.append(f"{where}.file: {path} cannot be read as a table of numbers: {error}")
         return None
@@ -205,6 +205,12 @@ def _column(where: str, of: Tolerance, folder: Path, problems: list[str]) -> np.
         problems.append(f"{where}.file: {path} must hold at least two finite values, but holds {len(values)}")
         return None
     return np.sort(values)
+
+
+def _entry(row: dict[Any, Any], column: str, line: int) -> float:
+    if None in row:
+        raise ValueError(f"line {line} has more entries than there are headings (decimal commas?)")
+    return float(row[column])
 
 
 # --- samples ------------------------------------------------------------------------------------------------------------

@@ -49,14 +49,9 @@ class Tolerance(Moved):
     meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "climate")
 
     @model_validator(mode="after")
-    def _named_once(self) -> "Tolerance":
-        for moved in (self.paths, self.shift or [], self.turn or []):
-            if twice := sorted({name for name in moved if moved.count(name) > 1}):
-                raise ValueError(f"each number or part must be named once, but {', '.join(twice)} is named again")
-        return self
-
-    @model_validator(mode="after")
     def _one_size(self) -> "Tolerance":
+        if self.limits is not None and self.kind != "truncated_normal":
+            raise ValueError('limits belong to kind = "truncated_normal"')
         if self.kind == "data":
             if self.file is None or self.column is None:
                 raise ValueError("data needs file (a CSV file) and column (its heading)")
@@ -69,13 +64,10 @@ class Tolerance(Moved):
             raise ValueError("exactly one of tolerance and sigma must be given")
         if self.file is not None or self.column is not None:
             raise ValueError('file and column belong to kind = "data"')
-        if self.limits is not None:
-            if self.kind != "truncated_normal":
-                raise ValueError('limits belong to kind = "truncated_normal"')
-            if not self.limits[0] < 0.0 < self.limits[1]:
-                raise ValueError(
-                    f"limits are deviations and must hold the nominal value, 0, between them, but are {list(self.limits)}"
-                )
+        if self.limits is not None and not self.limits[0] < 0.0 < self.limits[1]:
+            raise ValueError(
+                f"limits are deviations and must hold the nominal value, 0, between them, but are {list(self.limits)}"
+            )
         if self.kind == "truncated_normal" and self.limits is None and self.tolerance is None:
             raise ValueError("truncated_normal needs limits, or a tolerance to stand for them")
         if self.kind == "log_normal" and (self.relative or self.path is None):

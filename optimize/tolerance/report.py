@@ -113,7 +113,10 @@ def write_result(
     pictures: bool,
     before: Rows | None = None,
 ) -> list[str]:
-    """Pictures, and last the summary: a folder that holds `result.json` is complete. OSError where it cannot be written."""
+    """Pictures, in place of all earlier ones, and last the summary: a folder that holds `result.json` is complete. OSError where
+    it cannot be written."""
+    for name in (*PICTURES, *(picture for asked in problem.asked for picture in pictures_of(asked.name))):
+        (folder / name).unlink(missing_ok=True)
     names = _pictures(folder, problem, rows, summary, before) if pictures else []
     write_whole(folder / RESULT, json.dumps(summary, indent=1, allow_nan=False) + "\n")
     return [*names, RESULT]

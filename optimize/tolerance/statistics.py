@@ -71,6 +71,7 @@ class Indices(NamedTuple):
     total: np.ndarray
     total_low: np.ndarray
     total_high: np.ndarray
+    points: int  # of which all runs have a value
 
 
 class Sample(NamedTuple):
@@ -232,22 +233,28 @@ def saltelli(n: int, d: int, seed: int) -> Sample:
 def sobol(f_a: Any, f_b: Any, f_ab: Any, seed: int, level: float = 0.95) -> Indices:
     """First and total Sobol indices from the measure at `saltelli`'s points: f_a and f_b (n,), f_ab (d, n).
 
-    Intervals from resampling the n points; they take the points as independent, and so are wide for a smooth measure.
-    nan if any value is not finite, zeros for a constant measure; ValueError for other shapes.
+    The estimators of Saltelli et al. 2010 and of Jansen 1999. A point counts if all its d + 2 values are finite: one that were
+    filled in would count as a change that its input made. Intervals from resampling the points; they take them as
+    independent, and so are wide for a smooth measure. nan for fewer than two points, zeros for a constant measure; ValueError
+    for other shapes.
     """
     f_a, f_b, f_ab = (np.asarray(f, dtype=float) for f in (f_a, f_b, f_ab))
     d, n = f_ab.shape
     if f_a.shape != (n,) or f_b.shape != (n,):
         raise ValueError(f"f_a and f_b must be ({n},) as f_ab is {f_ab.shape}; they are {f_a.shape} and {f_b.shape}")
-    if not all(np.isfinite(f).all() for f in (f_a, f_b, f_ab)):
-        return Indices(*np.full((6, d), math.nan))
-    pages = f_ab if d > 1 else np.repeat(f_ab, 2, axis=0)  # SciPy cannot take a single input: give it twice
+    whole = np.isfinite(f_a) & np.isfinite(f_b) & np.isfinite(f_ab).all(axis=0)
+    f_a, f_b, f_ab, n = f_a[whole], f_b[whole], f_ab[:, whole], int(whole.sum())
+    if n < 2:
+        none = np.full(d, math.nan)
+        return Indices(none, none, none, none, none, none, n)
 
     def both(drawn: np.ndarray, axis: int = -1) -> np.ndarray:  # (..., n) points -> (2, d, ...)
-        rows = np.atleast_2d(drawn)
-        found = stats.sobol_indices(func={"f_A": f_a[rows], "f_B": f_b[rows], "f_AB": pages[:, rows]}, n=n)
-        indices = np.stack([found.first_order.T, found.total_order.T])[:, :d]
-        return indices.reshape(2, d, *drawn.shape[:-1])
+        a, b, ab = f_a[drawn], f_b[drawn], f_ab[:, drawn]
+        halves = np.concatenate([a, b], axis=-1)
+        variance, mean = np.var(halves, axis=-1), np.mean(halves, axis=-1, keepdims=True)
+        first, total = np.mean((b - mean) * (ab - a), axis=-1), 0.5 * np.mean((a - ab) ** 2, axis=-1)
+        flat = np.ptp(halves, axis=-1) == 0
+        return np.where(flat, 0.0, np.stack([first, total]) / np.where(flat, 1.0, variance))
 
     points = np.arange(n)
     first, total = both(points)
@@ -256,7 +263,7 @@ def sobol(f_a: Any, f_b: Any, f_ab: Any, seed: int, level: float = 0.95) -> Indi
         (points,), both, confidence_level=level, method="percentile", vectorized=True, batch=32, rng=seed
     )
     (first_low, total_low), (first_high, total_high) = resampled.confidence_interval
-    return Indices(first, first_low, first_high, total, total_low, total_high)
+    return Indices(first, first_low, first_high, total, total_low, total_high, n)
 
 
 def normal_slope(passed: Any, epsilon: Any, correlation: Any, members: Any) -> Slope:
