@@ -15,7 +15,7 @@ from jax import Array
 
 from diffeed.base.names import hint
 from diffeed.base.words import quoted
-from diffeed.input.parts import Scene, normalise
+from diffeed.input.parts import Contact, Scene, normalise
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
 from diffeed.readings.frames import approach, motion
@@ -30,6 +30,8 @@ from diffeed.readings.verdict import verdict as verdict
 
 SATURATED = 0.95
 """Share of the friction limit above which a contact counts as truly sliding."""
+SLOWLY = 30
+"""Steps of the fixed point that finds a creep speed, where friction falls with it."""
 EDGES = ("lead", "tail")
 
 
@@ -78,10 +80,25 @@ def creep_floor(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
             floors[name] = jnp.zeros_like(stats.force_mean)
             continue
         limit = roller.friction * factor * stats.force_mean
-        used = jnp.clip(stats.friction_rms / jnp.where(limit > 0, limit, 1.0), 0.0, SATURATED)
-        inverse = jnp.arctanh(used) if contact.friction_law == "tanh" else used / jnp.sqrt(1.0 - used**2)
-        floors[name] = jnp.where(limit > 0, contact.stick_speed * inverse, 0.0)
+        floors[name] = jnp.where(limit > 0, _creep(contact, stats.friction_rms / jnp.where(limit > 0, limit, 1.0)), 0.0)
     return floors
+
+
+def _creep(contact: Contact, load: Array) -> Array:
+    """mm/s at which regularised friction carries a share of the dynamic limit."""
+
+    def inverse(used: Array) -> Array:
+        used = jnp.clip(used, 0.0, SATURATED)
+        slow = jnp.arctanh(used) if contact.friction_law == "tanh" else used / jnp.sqrt(1.0 - used**2)
+        return contact.stick_speed * slow
+
+    if contact.static_ratio is None:
+        return inverse(load)
+    speed = jnp.zeros_like(load)
+    for _ in range(SLOWLY):  # from below, so that of several speeds the slowest is found
+        share = 1.0 + (contact.static_ratio - 1.0) / (1.0 + (speed / contact.transition_speed) ** 2)
+        speed = inverse(load / share)
+    return speed
 
 
 # --- path ------------------------------------------------------------------------------------------------------------

@@ -197,6 +197,42 @@ def test_a_wall_that_turns_takes_its_sheet_along(method):
     assert 0.0 < float(run.observed["energy"]["joints"]) < 0.01  # N mm, of the start; a damper against the world: 0.6
 
 
+@pytest.mark.parametrize("at", ["tail", "lead"])
+def test_a_wall_holds_a_curled_sheet_by_its_tangent(at):
+    """At rest it is the arc that leaves the wall straight on, off by the second order of a bar."""
+    curl, length, off = 0.01, 100.0, []
+    for bars in (10, 20):
+        sheet = paper(bars=bars, length=length, curl=curl, lead=(length if at == "tail" else 0.0, 0.0))
+        scene = Scene(sheets={"a": sheet}, clamps={"wall": Clamp(sheet="a", at=at, kind="wall")}, gravity=(0.0, 0.0))
+        run = diffeed.simulate(scene, duration=1e-4, dt=1e-4, frames=2)
+        free = np.asarray(run.sheets["a"].nodes[0, 0 if at == "tail" else -1])
+        arc = np.array([np.sin(curl * length), 1.0 - np.cos(curl * length)]) / curl
+        off.append(np.hypot(*(free - arc * np.array([1.0 if at == "tail" else -1.0, 1.0]))))
+    assert off[0] < 0.05
+    assert off[1] == pytest.approx(0.25 * off[0], rel=0.02)
+
+
+def test_an_arm_that_turns_does_not_turn_idle_rollers():
+    """Their bearings have no drag: each is turned about its own centre, and the sheet that lies on them stays. With drag they
+    follow the arm."""
+
+    def carried(drag):
+        rollers = {
+            f"roller_{k}": FixedRoller(
+                center=(x, -5.05), radius=5.0, friction=0.5, inertia=1.0, bearing_drag=drag,
+                motion=Motion(times=(0.0, 0.1), displacement=((0.0, 0.0),) * 2, rotation=(0.0, 90.0), pivot=(x, -5.05)),
+            )
+            for k, x in enumerate((-30.0, -10.0))
+        }  # fmt: skip
+        scene = Scene(sheets={"a": paper(bars=4, lead=(0.0, 0.0))}, rollers=rollers)
+        return diffeed.simulate(scene, duration=0.05, dt=1e-4, frames=3, observe=("energy",))
+
+    still, turned = carried(0.0), carried(50.0)
+    assert np.abs(np.asarray(still.sheets["a"].velocities)).max() < 1e-6
+    assert float(turned.rollers["roller_0"].angular_velocity[-1]) == pytest.approx(np.pi / 2 / 0.1, rel=0.05)
+    assert float(turned.sheets["a"].velocities[-1, 0, 0]) < -10.0
+
+
 def test_speed_is_along_the_lead_bar():
     scene = Scene(sheets={"a": paper(bars=2, headings=(90.0, 80.0), speed=100.0)}, initial="given", gravity=(0.0, 0.0))
     run = diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=2)

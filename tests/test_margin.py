@@ -85,3 +85,48 @@ def test_margins_must_be_observed():
     bare = type(bare)(**{**vars(bare), "observed": {}})
     with pytest.raises(ValueError, match="feed"):
         measures.jam_margins(scene, bare)
+
+
+def test_a_span_counts_once_however_many_rollers_hold_its_ends():
+    """Pulled evenly the peak is the tension itself: of one span held by a drive on either side of the sheet, of two in a row."""
+    film = {"thickness": 0.1, "width": 200.0, "density": 1e-6, "youngs_modulus": 3000.0, "structural_damping": 1e-4}
+
+    def ratio(places, speeds, both):
+        rollers = {}
+        for k, (x, v) in enumerate(zip(places, speeds, strict=True)):
+            rollers[f"lower_{k}"] = diffeed.FixedRoller(
+                center=(-x, -10.05), radius=10.0, friction=0.8, surface_speed=-v
+            )
+            rollers[f"upper_{k}"] = diffeed.MovableRoller(
+                center=(-x, 10.05), direction=(0.0, 1.0), radius=10.0, mass=0.02, preload=4.0, damper=0.02, friction=0.8,
+                surface_speed=v if both else None,
+            )  # fmt: skip
+        sheet = diffeed.Sheet(length=200.0, bars=20, **film)
+        scene = diffeed.scene(sheets={"s": sheet}, rollers=rollers, gravity=(0.0, 0.0))
+        found = diffeed.simulate(scene, duration=0.02, dt=2e-4, frames=2, observe=("spans",)).observed["spans"]["s"]
+        return float(found.tension_peak / found.tension)
+
+    assert ratio((33.0, 103.0), (100.2, 100.0), True) == pytest.approx(1.0, abs=0.03)
+    assert ratio((33.0, 73.0, 113.0), (100.4, 100.2, 100.0), False) == pytest.approx(1.0, abs=0.04)
+
+
+@pytest.mark.parametrize(("speed", "goal", "way"), [(200.0, -10.0, 1.0), (-200.0, -41.0, -1.0)])
+def test_progress_agrees_with_the_verdict(speed, goal, way):
+    """Where the sheet lies in the gate at the start, and where it runs tail first: what the tail has still to go counts."""
+    rollers = {
+        "lower": diffeed.FixedRoller(center=(0.0, -10.05), radius=10.0, friction=0.5, surface_speed=-speed),
+        "upper": diffeed.MovableRoller(
+            center=(0.0, 10.05), direction=(0.0, 1.0), radius=10.0, mass=0.02, preload=4.0, damper=0.02, friction=0.5
+        ),
+    }
+    sheet = diffeed.Sheet(
+        length=80.0, bars=8, thickness=0.1, width=200.0, density=1e-6, youngs_modulus=3000.0, lead=(40.0, 0.0)
+    )
+    sensor = diffeed.Sensor(position=(goal, 0.0), direction=(way, 0.0))
+    scene = diffeed.scene(sheets={"s": sheet}, rollers=rollers, gravity=(0.0, 0.0), sensors={"g": sensor}, goal="g")
+    done = diffeed.simulate(scene, duration=0.18, dt=2e-4, frames=10, observe=("feed", "spans", "arrivals"))
+    left = abs(goal + 40.0)  # from the tail at the start
+    fed = abs(float(done.observed["feed"]["s"].fed))
+    assert measures.verdict(scene, done).status == "passed"
+    assert fed > left
+    assert float(measures.jam_margins(scene, done)["progress"]) == pytest.approx(min(fed / left - 1.0, 1.0), rel=1e-6)

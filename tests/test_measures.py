@@ -9,6 +9,7 @@ import pytest
 
 import diffeed
 from diffeed import Clamp, FixedRoller, LineGuide, MovableRoller, Profile, Scene, Sensor, Sheet, measures
+from diffeed.base.records import replace
 
 FILM = {"thickness": 0.2, "width": 20.0, "density": 1e-6, "youngs_modulus": 3000.0, "structural_damping": 1e-4}
 ALL = tuple(diffeed.OBSERVERS)
@@ -84,6 +85,54 @@ def test_creep_floor_is_the_inverse_of_the_law(run):
     load = float(stats.friction_rms / (0.8 * stats.force_mean))
     assert floor / np.hypot(floor, 3.0) == pytest.approx(min(load, 0.95), rel=1e-9)
     assert float(measures.slip(nip(), run)["drive"].floor) == floor
+
+
+def test_creep_floor_where_friction_falls_with_speed():
+    """All that this nip slips under a steady drag is creep, and the floor says so."""
+    scene = nip(
+        loads={"drag": diffeed.Load(sheet="a", at="tail", force=(-0.9, 0.0))},
+        contacts={"default": diffeed.Contact(static_ratio=2.0)}, guides={}, gravity=(0.0, 0.0),
+    )  # fmt: skip
+    settled = diffeed.simulate(scene, duration=0.06, dt=1e-4, frames=2)
+    start = jax.tree.map(lambda v: v[-1], settled.states)
+    run = diffeed.simulate(scene, duration=0.01, dt=1e-4, frames=2, initial=start, observe=("nips",))
+    found = measures.slip(scene, run)["drive"]
+    assert float(found.floor) > 0.3
+    assert float(found.rms) == pytest.approx(float(found.floor), rel=2e-3)
+
+
+def test_a_joined_end_is_not_met():
+    """The gap to a guide that begins where another ends is that of its face: the tip between them touches nothing."""
+    drop = 60.0 * np.tan(np.deg2rad(5.0))
+    guides = {
+        "a": LineGuide(start=(-100.0, -0.1), end=(0.0, -0.1), friction=0.1),
+        "b": LineGuide(start=(0.0, -0.1), end=(60.0, -0.1 - drop), friction=0.1),
+    }
+    stiff = Sheet(**FILM | {"youngs_modulus": 3e5}, length=40.0, bars=2, lead=(-2.0, 0.0), speed=200.0)
+    scene = Scene(sheets={"s": stiff}, guides=guides, initial="given")
+    run = diffeed.simulate(scene, duration=0.04, dt=1e-4, frames=41)
+    seen = float(np.min(run.guides["b"].gap))
+    assert float(jnp.min(measures.attack_angle(scene, run, "b").gap)) >= seen - 1e-9
+    pairs = measures.pair_gaps(scene, run)
+    assert float(jnp.min(pairs.gap[:, [n == "b" for n in pairs.bodies]])) == pytest.approx(seen, abs=1e-9)
+
+
+def test_rollers_that_meet_no_sheet_have_no_torque_of_one():
+    aside = nip(sheets={"a": Sheet(length=40.0, bars=4, lead=(200.0, 60.0), **FILM)}, guides={}, gravity=(0.0, 0.0))
+    run = diffeed.simulate(aside, dt=1e-4, frames=3, observe=("nips",))
+    stats = run.observed["nips"]["pinch"]
+    assert float(stats.contact_time) == float(stats.torque_peak) == 0.0
+    assert float(run.rollers["pinch"].angular_velocity[-1]) > 5.0
+
+
+@pytest.mark.parametrize("slick", ["drive", "pinch"])
+def test_a_roller_without_friction_turns_no_other(slick):
+    """Whichever of the two has the law "none"."""
+    scene = nip(sheets={"a": Sheet(length=40.0, bars=4, lead=(200.0, 60.0), **FILM)}, guides={}, gravity=(0.0, 0.0))
+    rollers = scene.rollers | {slick: replace(scene.rollers[slick], contact="slick")}
+    scene = replace(scene, rollers=rollers, contacts={"slick": diffeed.Contact(friction_law="none")})
+    run = diffeed.simulate(scene, dt=1e-4, frames=3)
+    assert np.all(np.asarray(run.rollers["pinch"].angular_velocity) == 0.0)
 
 
 def test_drag_shows_as_friction_and_torque():

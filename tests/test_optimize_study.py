@@ -38,7 +38,7 @@ def test_what_two_variables_or_one_twice_would_move():
         "variables.again.path must name other numbers than variables.preload, but names rollers.pinch"
     )
     twice = {"shift": ["rollers.pinch", "rollers.pinch"], "direction": [0, 1], "bounds": [0, 1]}
-    with pytest.raises(optimize.StudyError, match="rollers.pinch is named again"):
+    with pytest.raises(optimize.StudyError, match=r"rollers\.pinch is named again"):
         make_study(GOOD | {"variables": {"nip": twice}})
 
 

@@ -111,7 +111,8 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
     for key, path in model.paths.items():
         family, k = key.split(".")
         shift, moves = shift_at(path, time), moves or family != "circles"
-        circles = _move(circles, _circles_of(model.circles, family, int(k)), shift)
+        mask = _circles_of(model.circles, family, int(k))
+        circles = _move(circles, mask, shift, mask & ~_turns_freely(model))
         if family == "lines":
             lines, line_motion = _move_line(lines, line_motion, int(k), shift)
         elif family == "arcs":
@@ -155,11 +156,25 @@ def _chosen(mask: np.ndarray, new: tuple[Array, Array], old: tuple[Array, Array]
     return jnp.where(mask, new[0], old[0]), jnp.where(mask, new[1], old[1])
 
 
-def _move(rigid: Rigid, mask: np.ndarray, shift: Shift) -> Rigid:
+def _turns_freely(model: Model) -> np.ndarray:
+    """(circles,) bool: an arm that turns takes the place of such a roller along, but does not turn it."""
+    found = np.zeros(model.circles.x.shape[0], bool)
+    found[: model.rollers.n][model.rollers.free] = True
+    return found
+
+
+def arm_spins(model: Model, time: Array) -> Array | float:
+    """(free,) rad/s of what carries the bearings of freely turning rollers; 0 where none of them is moved."""
+    free = range(*model.rollers.free.indices(model.rollers.n))
+    found = {k: shift_at(model.paths[f"circles.{k}"], time).w for k in free if f"circles.{k}" in model.paths}
+    return jnp.stack([found.get(k, jnp.zeros(())) for k in free]) if found else 0.0
+
+
+def _move(rigid: Rigid, mask: np.ndarray, shift: Shift, turned: np.ndarray) -> Rigid:
     place = _moved(shift, rigid.x, rigid.y)
     x, y = _chosen(mask, place, (rigid.x, rigid.y))
     vx, vy = _chosen(mask, _velocity(shift, *place), (rigid.vx, rigid.vy))
-    return Rigid(x, y, vx, vy, jnp.where(mask, rigid.w + shift.w, rigid.w))
+    return Rigid(x, y, vx, vy, jnp.where(turned, rigid.w + shift.w, rigid.w))
 
 
 def _move_face(face: Face, mask: np.ndarray, shift: Shift) -> Face:
@@ -169,7 +184,7 @@ def _move_face(face: Face, mask: np.ndarray, shift: Shift) -> Face:
 
 def _move_line(lines: Lines, motion: Rigid, k: int, shift: Shift) -> tuple[Lines, Rigid]:
     mask = np.arange(lines.x.shape[0]) == k
-    motion = _move(motion, mask, shift)
+    motion = _move(motion, mask, shift, mask)
     tx, ty = _chosen(mask, _turned(shift, lines.tx, lines.ty), (lines.tx, lines.ty))
     faces = _move_face(lines.faces, mask, shift)
     return replace(lines, x=motion.x, y=motion.y, tx=tx, ty=ty, faces=faces), motion
@@ -177,7 +192,7 @@ def _move_line(lines: Lines, motion: Rigid, k: int, shift: Shift) -> tuple[Lines
 
 def _move_arc(arcs: Arcs, motion: Rigid, k: int, shift: Shift) -> tuple[Arcs, Rigid]:
     mask = np.arange(arcs.x.shape[0]) == k
-    motion = _move(motion, mask, shift)
+    motion = _move(motion, mask, shift, mask)
     mid_x, mid_y = _chosen(mask, _turned(shift, arcs.mid_x, arcs.mid_y), (arcs.mid_x, arcs.mid_y))
     faces = _move_face(arcs.faces, mask, shift)
     return replace(arcs, x=motion.x, y=motion.y, mid_x=mid_x, mid_y=mid_y, faces=faces), motion

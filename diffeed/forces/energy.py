@@ -7,6 +7,7 @@ from jax import Array
 
 from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State
+from diffeed.contact.bodies import arm_spins
 from diffeed.contact.kept import Kept, by_roller
 from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
@@ -86,7 +87,9 @@ def powers(model: Model, state: State, touching: Contacts, kept: Kept) -> Powers
         if hold.wall:
             turning = state.rate[hold.bar] - hold_speed(hold, state.time)[2]
             joints = joints + 2.0 * model.wall_damping[hold.bar] * turning**2
-    rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(r.drag * state.spin**2)
+    rollers = jnp.sum(r.damper * state.travel_rate**2) + jnp.sum(
+        r.drag * (state.spin - arm_spins(model, state.time)) ** 2
+    )
     drives = _drive_power(model, touching, kept)
     return Powers(*(v / NEWTON for v in (drives, load_power(model, touching.at), friction, damping, joints, rollers)))
 

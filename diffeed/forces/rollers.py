@@ -8,6 +8,7 @@ from jax import Array, lax
 from diffeed.base.batching import any_of_batch
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
+from diffeed.contact.bodies import arm_spins
 from diffeed.contact.features import shared, to_bars
 from diffeed.contact.kept import Kept, by_circle
 from diffeed.contact.roller_pairs import RollerPairs
@@ -51,7 +52,7 @@ def _travel_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]
 def _spin_terms(model: Model, state: State, step: Step) -> tuple[Array, Array]:
     """Freely turning rollers: inertia and bearing drag."""
     r = model.rollers
-    drag = -r.drag * state.spin
+    drag = -r.drag * (state.spin - arm_spins(model, state.time + (step.h if step.implicit else 0.0)))
     return (r.inertia + step.h * r.drag if step.implicit else r.inertia), drag
 
 

@@ -222,7 +222,8 @@ class Clamp:
     """Holds a point of a sheet.
 
     kind "pin": a node is held, its bars turn freely. "wall": the node at an end is held by a wall joint of twice the joint
-    stiffness, so that the free length counts from the node. "bar": a whole bar is held.
+    stiffness, so that the free length counts from the node, and the curl too (not with `headings`: there it is at rest as
+    written). "bar": a whole bar is held.
     `displacement` and `rotation` are reached at once from the initial position; `motion` moves the clamp in time.
     """
 

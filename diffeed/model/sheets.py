@@ -57,10 +57,13 @@ def hold_of(scene: Scene, layout: Layout, clamp: Clamp) -> Hold:
     nodes = initial_nodes(sheet, headings)
     at = 0.5 * (nodes[local] + nodes[local + 1]) if whole else nodes[local + (0 if end > 0 else 1)]
     rows = tuple(d for d in ("x", "y") if clamp.free != d) + (("heading",) if whole else ())
+    angle = headings[local] + jnp.deg2rad(clamp.rotation)
+    if clamp.kind == "wall" and sheet.headings is None:  # half a bar of curl from the wall to the middle of the bar
+        angle = angle - end * 0.5 * sheet.curl * sheet.length / sheet.bars
     return Hold(
         x=at[0] + clamp.displacement[0],
         y=at[1] + clamp.displacement[1],
-        angle=headings[local] + jnp.deg2rad(clamp.rotation),
+        angle=angle,
         path=None if clamp.motion is None else path_of(clamp.motion),
         bar=bar,
         end=end,

@@ -21,11 +21,14 @@ def surface_of(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:
 
 
 def pair_surface(scene: Scene, rollers: list[tuple[str, Any]], pairs: tuple[tuple[int, int], ...]) -> Surface:
-    """Two rollers use the smaller of their frictions and the contact set of the first movable one.
+    """Two rollers use the smaller of their frictions (0 of one whose set has none) and the contact set of the first movable
+    one.
 
     They never stick: each turns freely or drives the other, and what they carry tangentially is a bearing's drag.
     """
+    slick = np.array([scene.contacts[r.contact].friction_law == "none" for _, r in rollers], dtype=bool)
     each, index = stacked([r.friction for _, r in rollers]), np.array(pairs, dtype=int).reshape(-1, 2)
+    each = jnp.where(slick, 0.0, each) if slick.any() else each
     friction = jnp.minimum(each[index[:, 0]], each[index[:, 1]])
     return _surface_of_sets(scene, [rollers[i][1].contact for i, _ in pairs], friction, can_stick=False)
 

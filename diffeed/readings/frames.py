@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from diffeed.chain.state import State, mean_per_sheet
@@ -48,7 +49,7 @@ def motion(scene: Scene, states: State) -> Motion:
 class Approach(NamedTuple):
     """Every pair of body and feature, (frames, bodies, features)."""
 
-    gap: Array  # mm
+    gap: Array  # mm; infinite for the tip of a guide's end that is joined to another: it touches nothing
     into: Array  # sine of the angle between the bar's heading and the body's face
     weight: Array  # 0..1: share of the contact that the pair carries
 
@@ -63,6 +64,7 @@ def approach(scene: Scene, states: State) -> Approach:
         pairs = touching.sheets
         assert pairs is not None
         c, s = heading(model, at, pairs, None)
-        return Approach(pairs.gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
+        gap = pairs.gap.at[: len(model.circle_names)].add(jnp.where(model.circles.active > 0, 0.0, jnp.inf)[:, None])
+        return Approach(gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

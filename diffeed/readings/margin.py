@@ -32,11 +32,11 @@ NEAR = 1.0
 def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) -> dict[str, Array]:
     """The parts of the margin of one sheet (the first if not named). Needs observe=("feed", "spans").
 
-    progress: fed distance over the distance that brings the tail to the scene's goal (straight from lead to goal), less
-    1; without a goal, over half the commanded distance. buckling: compression between nips against the Euler load of a
-    free span with held ends. fold: turn over three joints against 150 degrees. attack: angle at which the head meets a
-    guide against the angle at which friction holds it fast, 90 degrees less the friction angle. gap: depth to which the
-    head is pressed into a guide against half a millimetre.
+    progress: fed distance over the distance that brings the tail to the scene's goal (straight from lead to goal; from the
+    tail if the sheet lies in the gate at the start, or runs tail first), less 1; without a goal, over half the commanded
+    distance. buckling: compression between nips against the Euler load of a free span with held ends. fold: turn over three
+    joints against 150 degrees. attack: angle at which the head meets a guide against the angle at which friction holds it
+    fast, 90 degrees less the friction angle. gap: depth to which the head is pressed into a guide against half a millimetre.
     """
     for name in NEEDS:
         if name not in trajectory.observed:
@@ -65,10 +65,16 @@ def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
     if not scene.goal:
         forward = feed.fed * jnp.sign(feed.commanded)  # fed tail first, both are negative
         return forward / jnp.maximum(jnp.abs(feed.commanded), 1e-6) / ENOUGH - 1.0
-    lead = trajectory.sheets[name].nodes[0, 0]
-    way = scene.sensors[scene.goal].position - lead
-    needed = scene.sheets[name].length + jnp.sqrt(jnp.sum(way**2))
-    return jnp.minimum(feed.fed / needed - 1.0, 1.0)
+    goal, (lead, tail) = scene.sensors[scene.goal], trajectory.sheets[name].nodes[0, (0, -1), :]
+    way = goal.direction / jnp.sqrt(jnp.sum(goal.direction**2))
+    ahead, left = (lead - goal.position) @ way, (goal.position - tail) @ way
+    beside = jnp.abs((lead - goal.position) @ jnp.stack([-way[1], way[0]]))
+    through = (ahead >= 0.0) & (left > 0.0) & (beside < goal.range)  # it lies in the gate at the start
+    from_lead = scene.sheets[name].length + jnp.sqrt(jnp.sum((goal.position - lead) ** 2))
+    tail_first = feed.commanded < 0.0
+    from_tail = jnp.where(through, left, jnp.sqrt(jnp.sum((goal.position - tail) ** 2)))
+    needed = jnp.where(through | tail_first, from_tail, from_lead)
+    return jnp.minimum(jnp.where(tail_first, -feed.fed, feed.fed) / needed - 1.0, 1.0)
 
 
 def _fold(trajectory: Trajectory, name: str) -> Array:

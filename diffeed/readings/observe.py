@@ -115,7 +115,7 @@ def _nips_update(model: Model, scene: Scene, sums: NipSums, seen: Seen) -> NipSu
         friction=sums.friction + h * now.friction,
         friction2=sums.friction2 + h * now.friction**2,
         torque=sums.torque + h * now.torque,
-        torque_peak=jnp.maximum(sums.torque_peak, jnp.abs(now.torque)),
+        torque_peak=jnp.maximum(sums.torque_peak, jnp.where(now.force > 0, jnp.abs(now.torque), 0.0)),
     )
 
 

@@ -23,8 +23,11 @@ class SpanStats:
 
     held: Any = number(unit="s", doc="time in which at least two driven nips held the sheet")
     tension: Any = number(unit="N", doc="mean tension of the spans between them, negative in compression")
-    tension_peak: Any = number(unit="N", doc="fourth-power mean of the tension, tight spans only")
-    buckling: Any = number(unit="1", doc="fourth-power mean of compression over the Euler load (hinged ends)")
+    tension_peak: Any = number(unit="N", doc="fourth-power mean over time of the tension of the tightest span")
+    buckling: Any = number(
+        unit="1",
+        doc="fourth-power mean over time of the largest compression of a span over its Euler load (hinged ends)",
+    )
 
 
 @record
@@ -55,8 +58,9 @@ def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
     return SpanSums(
         held=sums.held + h,
         tension=sums.tension + h * divide(jnp.sum(weight * pull, axis=1), count),
-        tight=sums.tight + h * jnp.sum(weight * jnp.maximum(pull, 0.0) ** PEAK, axis=1),
-        buckling=sums.buckling + h * jnp.sum(weight * jnp.maximum(ratio, 0.0) ** PEAK, axis=1),
+        # The largest, for a span counts once, however many rollers hold its ends.
+        tight=sums.tight + h * jnp.max(weight * jnp.maximum(pull, 0.0), axis=1, initial=0.0) ** PEAK,
+        buckling=sums.buckling + h * jnp.max(weight * jnp.maximum(ratio, 0.0), axis=1, initial=0.0) ** PEAK,
     )
 
 

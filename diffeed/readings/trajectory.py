@@ -34,7 +34,9 @@ class RollerTrack:
     center: Any = number(unit="mm", doc="(frames, 2)", shape=(2,))
     travel: Any = number(unit="mm", doc="(frames,) along its direction; 0 for a fixed roller")
     angle: Any = number(unit="rad", doc="(frames,)")
-    angular_velocity: Any = number(unit="rad/s", doc="(frames,)")
+    angular_velocity: Any = number(
+        unit="rad/s", doc="(frames,); of a driven one against what carries it, if that turns"
+    )
     force: Any = number(unit="N", doc="(frames,) normal force from sheets")
     friction: Any = number(unit="N", doc="(frames,) friction on sheets along their heading")
     torque: Any = number(
