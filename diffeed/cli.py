@@ -92,7 +92,7 @@ Examples:
   diffeed run my_machine.toml --tolerance 0.01 --once
 \b
 Exit status: 0 the run was computed (passed, late or jammed: see the first line),
-1 the computation failed or was not confirmed, 2 nothing was run or the files could not be written,
+1 the computation failed, or place and verdict were not confirmed, 2 nothing was run or the files could not be written,
 130 stopped by Ctrl-C.
 """,
 )

@@ -43,3 +43,4 @@ nitpick_ignore_regex = [
     ("py:.*", r"optimize\.descent\.(Progress|Line)"),  # of a search on its way: for those who read its source
     ("py:.*", r"optimize\.(asked\.Asked|tolerance\.(contributions\.Slopes|statistics\.Indices))"),  # likewise
 ]
+smartquotes = False  # "--out" must stay what can be copied

@@ -86,6 +86,8 @@ def design(
         print_result(console(), result)
         confirmed = _confirmed(result) if confirm and result.improved else None
         if out:
+            if not no_pictures:
+                click.echo("pictures and blame maps (a gradient by every place)", err=True)
             with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
                 names = write_result(out, result, not no_pictures, confirmed)
             click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")

@@ -53,7 +53,8 @@ class Progress:
 
 
 class Line(NamedTuple):
-    """One iteration in words: what the history file holds."""
+    """One iteration in words: what the history file holds. Objective, violation and values are those of the point that the start
+    which is best so far was at."""
 
     iteration: int
     stage: int
@@ -116,7 +117,8 @@ def search(
         begun = time.monotonic()
         stage = stages_of(problem)[progress.stage]
         settings = settings_of(stage)._replace(deviations=problem.deviations(progress.iteration))
-        found = evaluator.gradients(progress.unit, progress.multipliers, progress.penalty, settings)
+        at = progress.unit.copy()
+        found = evaluator.gradients(at, progress.multipliers, progress.penalty, settings)
         _judge(problem, progress, found)
         _step(problem, progress, move, evaluator)
         progress.iteration += 1
@@ -124,7 +126,7 @@ def search(
             _raise_multipliers(problem, progress, found)
         progress.counts = evaluator.counts
         progress.seconds += time.monotonic() - begun
-        line = _line(problem, progress, found)
+        line = _line(problem, progress, at, found)
         stop(problem, progress)
         save(progress, line)
         yield progress, line
@@ -260,9 +262,9 @@ def _raise_multipliers(problem: Problem, progress: Progress, found: Evaluated) -
         progress.state = _fresh(problem, progress.unit, progress.stage)
 
 
-def _line(problem: Problem, progress: Progress, found: Evaluated) -> Line:
+def _line(problem: Problem, progress: Progress, at: np.ndarray, found: Evaluated) -> Line:
     i = chosen(progress)
-    values = free.physical(problem.variables, jnp.asarray(progress.best[i]))
+    values = free.physical(problem.variables, jnp.asarray(at[i]))
     worst = found.seen.violation.reshape(len(progress.unit), -1).max(axis=1, initial=0.0)
     return Line(
         iteration=progress.iteration, stage=progress.stage, start=i,

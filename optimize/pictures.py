@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 SHOWN = 8
 """Arrows on the blame map."""
+ABSURD = 10.0
+"""Times the objective that 0.1 mm would gain: no machine does that."""
 FAINTEST = 0.01
 """Of the largest gain: less gets no arrow."""
 
@@ -57,6 +59,12 @@ def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = 
     rows = [row for row in rows if row[2] >= FAINTEST * rows[0][2]]  # the shortest arrow must not stand for nothing
     if not rows:
         _title(ax, "Moving parts does not change the objective")
+        return ax
+    if rows[0][2] > ABSURD * abs(found.objective) > 0.0:
+        _title(
+            ax,
+            f"No gradient to believe: it promises {rows[0][2]:.2g} per 0.1 mm of an objective of {found.objective:.3g}",
+        )
         return ax
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     longest = 0.12 * max(np.ptp(low), np.ptp(high))

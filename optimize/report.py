@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 WORDS = ("unit", "wanted")
+STEEP = 1e4
+"""Times the objective that a gradient promises over the range of the variables: no landscape that means anything is so steep."""
 """Columns of words in the tables."""
 
 
@@ -108,10 +110,22 @@ def print_result(console: "Console", result: Result) -> None:
     if problem.inputs:
         console.print(_machines(problem.study.robust))
     spent = result.progress
+    steep = [line for line in result.history if _is_steep(line)]
+    if steep:
+        console.print(
+            f"In {len(steep)} of {len(result.history)} iterations the gradient promised more than {STEEP:g} times the objective"
+            " over the range of the variables: do not believe it. `check` says of which variables;"
+            ' search.gradient = "expected" may help.'
+        )
     console.print(
         f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
         f"{spent.seconds:.1f} s (compilation included)"
     )
+
+
+def _is_steep(line: dict[str, Any]) -> bool:
+    slope, objective = line["gradient"], line["objective"]
+    return slope is not None and objective is not None and slope > STEEP * abs(objective) > 0.0
 
 
 def _label(medium: str, asked: Any) -> str:

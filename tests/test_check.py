@@ -234,6 +234,31 @@ def test_traced_numbers_pass_but_their_shape_is_checked():
     assert jax.jit(jax.grad(judge))(3.0) == 1.0
 
 
+def test_a_soft_roller_may_give_way_at_rest():
+    """60 N/mm under 5 N: more than half the thickness of the sheet, and far less than a run would call too deep. Under 500 N
+    it lies on the way to the other side, held by its stop alone; without one it would not come to rest."""
+
+    def pressed(preload, stop):
+        pinch = MovableRoller(center=(0.0, 10.05), direction=(0.0, 1.0), radius=10.0, mass=0.02, preload=preload)
+        rollers = {"hard": FixedRoller(center=(0.0, -10.05), radius=10.0), "soft": replace(pinch, travel_min=stop)}
+        sheet = Sheet(
+            length=40.0, thickness=0.1, width=50.0, density=1e-6, youngs_modulus=2e3, bars=4, lead=(20.0, 0.0)
+        )
+        contacts = {"default": Contact(stiffness=60.0, exponent=1.0)}
+        return check(
+            Scene(sheets={"s": sheet}, rollers=rollers, contacts=contacts, gravity=(0.0, 0.0), initial="settled")
+        )
+
+    assert pressed(5.0, -4.0) == pressed(5.0, None) == []
+    problems = pressed(500.0, -4.0)
+    assert len(problems) == 2
+    assert all("it must be less than 1.55 mm: a stiffer contact or less force" in p for p in problems)
+    (problem,) = pressed(500.0, None)
+    assert problem.startswith(
+        "no rest state was found from which to start: look for a sheet or a pinch that nothing stops"
+    )
+
+
 @pytest.mark.parametrize("thing", [None, 3, {}, "scene", SCENE.sheets["film"]])
 def test_what_is_no_scene_at_all(thing):
     assert "a Scene is needed" in check_records(thing)[0]

@@ -66,6 +66,27 @@ def test_a_number_that_is_hardly_meant_is_remarked_on(part, change, said):
     assert remark.startswith(said)
 
 
+@pytest.mark.parametrize(
+    ("part", "change", "said"),
+    [
+        ("rollers.pinch.mass", 20.0, "rollers.pinch.mass is 20 kg: in g?"),
+        ("rollers.drive.friction", 120.0, "rollers.drive.friction is 120: in percent?"),
+        ("contacts.default.stiffness", 6e7, "contacts.default.stiffness is 6e+07: in N/m?"),
+        ("duration", 0.001, "rollers.drive.surface_speed.times end at 0.02 s, but the run at 0.001 s: in ms?"),
+    ],
+)
+def test_numbers_of_rollers_and_contacts_in_other_units(part, change, said):
+    ramp = Profile(times=(0.0, 0.02), values=(0.0, -300.0))
+    rollers = {
+        "drive": FixedRoller(center=(0.0, -10.05), radius=10.0, surface_speed=ramp),
+        "pinch": MovableRoller(center=(0.0, 10.05), direction=(0.0, 1.0), radius=10.0, mass=0.01, preload=4.0),
+    }
+    scene = diffeed.scene(sheets={"note": NOTE}, rollers=rollers, duration=0.02)
+    assert diffeed.remarks(scene) == []
+    (remark,) = diffeed.remarks(diffeed.put(scene, part, change))
+    assert remark.startswith(said)
+
+
 def test_a_run_far_too_long_is_remarked_on():
     scene = diffeed.load_scene("film_feeder")
     assert diffeed.remarks(scene) == []

@@ -31,6 +31,9 @@ CREEP = (
 SAME = 1e-3
 """Of a value: less is no change in a comparison."""
 PRESSED = "Negative: pressed into the part."
+FED = "Fed per turned: of the way while a driven roller held the sheet."
+UNBALANCED = 0.2
+"""Of the drives' work: more that the steps themselves took or gave is told."""
 
 
 def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
@@ -53,9 +56,9 @@ def print_report(console: "Console", summary: dict[str, Any]) -> None:
     for title, note, table in (
         ("Rollers, over the time in which they touch a sheet", CREEP, _roller_table(summary["rollers"])),
         ("Arrivals of the sheets' edges", "", _arrival_table(summary["sheets"])),
-        ("Sheets", "", _sheet_table(summary["sheets"])),
+        ("Sheets", FED, _sheet_table(summary["sheets"])),
         ("Smallest gaps between sheets and parts", PRESSED, _gap_table(summary["smallest_gaps"])),
-        ("Energy balance", "", _energy_table(summary["energy"])),
+        ("Energy balance", _unbalanced(summary["energy"]), _energy_table(summary["energy"])),
     ):
         if table.row_count:
             console.print(f"\n{title}", style="bold")
@@ -210,6 +213,16 @@ def _energy_table(energy: dict[str, Any]) -> "Table":
         share = "" if not work or value is None else f"{100.0 * value / work:.1f} %"
         table.add_row(name, _text(value), share)
     return table
+
+
+def _unbalanced(energy: dict[str, Any]) -> str:
+    """What is to be said where steps as long as these do not add up."""
+    work, lost = energy["work of drives"], energy["numerical"]
+    if not work or lost is None or abs(lost) <= UNBALANCED * abs(work):
+        return ""
+    return (
+        "The steps are too long for the forces: what they themselves took or gave is a good part of the drives' work."
+    )
 
 
 def _took(run: dict[str, Any]) -> str:

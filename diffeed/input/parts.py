@@ -152,7 +152,10 @@ class FixedRoller:
 
 @record
 class MovableRoller:
-    """A spring-loaded pinch roller that travels along a line and turns freely unless a speed is given."""
+    """A spring-loaded pinch roller that travels along a line and turns freely unless a speed is given.
+
+    It is stopped by sheets, other rollers, `travel_min` and `travel_max`, not by guides: a pick roller above a pad needs a stop.
+    """
 
     center: Any = number(unit="mm", doc="centre at travel 0", shape=(2,))
     direction: Any = number(unit="1", doc="direction of its travel; the spring pushes the other way", shape=(2,))

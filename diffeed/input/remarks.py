@@ -7,7 +7,7 @@ import numpy as np
 
 from diffeed.input.check_rules import Rule
 from diffeed.input.check_values import sound
-from diffeed.input.parts import ArcGuide, FixedRoller, MovableRoller, Profile, Scene, Sheet
+from diffeed.input.parts import ArcGuide, Contact, FixedRoller, MovableRoller, Profile, Scene, Sheet
 
 STIFFEST, LIMPEST = 5e5, 5.0
 """N/mm2: harder than any steel, and softer than rubber."""
@@ -23,6 +23,10 @@ NIP = 3.0
 """mm between two rollers that may be meant as a nip."""
 STUB = 3.0
 """mm of an arc: hardly a guide."""
+BULKY, ROUGH, STUBBORN = 5.0, 3.0, 1e5
+"""kg of a roller, its friction, N/mm of a contact: more is hardly meant."""
+LATER = 10.0
+"""Times the duration at which a profile ends: it is hardly meant for this run."""
 BEYOND_USE = 100.0
 """Times the way through the machine that is fed in a run."""
 
@@ -33,7 +37,7 @@ def remarks(scene: Scene) -> list[str]:
     Each names part, field and value, and what is usual. `diffeed check` and `diffeed run` show them and go on.
     """
     found = list(_of_scene(scene))
-    for section in ("sheets", "rollers", "guides"):
+    for section in ("sheets", "rollers", "guides", "contacts"):
         for name, part in sorted(getattr(scene, section).items()):
             for rule in _RULES.get(type(part), ()):
                 found += rule(f"{section}.{name}", part, scene)
@@ -93,10 +97,28 @@ def _fastest(roller: Any) -> float | None:
     return None
 
 
-def _drive(path: str, roller: Any, _: Scene) -> Iterator[str]:
-    fastest = _fastest(roller)
+def _drive(path: str, roller: Any, scene: Scene) -> Iterator[str]:
+    fastest, friction = _fastest(roller), _number(roller, "friction")
+    if friction and friction > ROUGH:
+        yield f"{path}.friction is {friction:g}: in percent? Rubber on paper has 0.8 to 1.5"
+    for field in ("surface_speed", "angular_speed"):
+        times = sound(getattr(roller, field), "times") if isinstance(getattr(roller, field), Profile) else None
+        if times is not None and float(times[-1]) > LATER * scene.duration:
+            yield f"{path}.{field}.times end at {float(times[-1]):g} s, but the run at {scene.duration:g} s: in ms?"
     if fastest and fastest < SLOWEST:
         yield f"{path} turns at {fastest:g} mm/s at most: in m/s? Feeders run at 100 to 3000 mm/s"
+
+
+def _contact(path: str, contact: Contact, _: Scene) -> Iterator[str]:
+    stiffness = _number(contact, "stiffness")
+    if stiffness and stiffness > STUBBORN:
+        yield f"{path}.stiffness is {stiffness:g}: in N/m? Rubber has 10 to 1000 N/mm, hard plastic 1e4"
+
+
+def _mass(path: str, roller: MovableRoller, _: Scene) -> Iterator[str]:
+    mass = _number(roller, "mass")
+    if mass and mass > BULKY:
+        yield f"{path}.mass is {mass:g} kg: in g? A pinch roller has 0.01 to 0.5 kg"
 
 
 def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
@@ -119,6 +141,7 @@ def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
 _RULES: dict[type, tuple[Rule, ...]] = {
     Sheet: (_sheet,),
     ArcGuide: (_arc,),
+    Contact: (_contact,),
     FixedRoller: (_drive,),
-    MovableRoller: (_drive, _pinch),
+    MovableRoller: (_drive, _mass, _pinch),
 }

@@ -21,7 +21,7 @@ FINER = 4
 TOLD, SHARE = 3.0, 0.02
 """Times the error that the run tells of, and of the longest way that a node made: runs that agree differ by less than the
 larger."""
-WIDEST = 0.1
+WIDEST = 0.05
 """Of the same way: no error that a run tells of excuses more."""
 APART, SMALL = 0.2, 0.05
 """Of a roller's own value and of the largest of all rollers: what differs by more than both is not confirmed. Less than a fifth
@@ -61,16 +61,14 @@ class Confirmation(NamedTuple):
             return self._of_place()
         more = len(self.unsure) - MOST
         told = "; ".join(self.unsure[:MOST]) + (f"; and {more} more" if more > 0 else "")
-        return f"{self._of_place()} But not confirmed: {told}."
+        return f"{self._of_place()} Of the rollers not: {told}."
 
     def _of_place(self) -> str:
-        where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s)"
+        where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s), of {self.way:.3g} mm moved"
         up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
             return f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
-        away = (
-            f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where} of {self.way:.3g} mm moved, and the "
-        )
+        away = f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where}, and the "
         if self.after == self.before:
             return f"{away}verdict is the same. Believe no more than the verdict: {SHORTER}."
         return f"{away}verdict is {self.after}. Believe neither run: {SHORTER}."

@@ -13,7 +13,7 @@ from diffeed.base.records import replace
 from diffeed.chain.kinematics import to_nodes
 from diffeed.chain.state import State, initial_state
 from diffeed.contact.crossing import Misplaced, misplaced
-from diffeed.contact.kept import keep_all
+from diffeed.contact.kept import allowed_depths, keep_all
 from diffeed.input.check_records import check_records
 from diffeed.input.check_values import show
 from diffeed.input.packing import jit_of_scene
@@ -69,11 +69,11 @@ def check(
     if scene.initial == "settled" and not problems:
         if not found:
             problems.append(
-                "no rest state was found from which to start: look for a sheet that nothing holds up, and for a mass, stiffness"
-                ' or size in the wrong unit; initial = "given" starts as written'
+                "no rest state was found from which to start: look for a sheet or a pinch that nothing stops, and for a mass,"
+                ' stiffness or size in the wrong unit; initial = "given" starts as written'
             )
         problems += _speeds(scene)
-        problems += _deep(model, now, "rests", allowed=0.0) if found else []
+        problems += _deep(model, now, "rests", allowed=0.5 * np.asarray(allowed_depths(model))) if found else []
     if meant and method in EXPLICIT and not problems:
         problems += _too_fast(model, state, STEP if dt is None else dt, method)
     return problems
@@ -140,24 +140,27 @@ def _start_of(part: Any, field: str) -> np.ndarray:
     return np.zeros(()) if value is None else np.asarray(value)
 
 
-def _deep(model: Model, gap: Array, verb: str, allowed: float) -> list[str]:
-    """Bars whose axis lies inside a body: penetration beyond half the thickness (plus `allowed` mm, which a start that is
-    settled afterwards may have)."""
+def _deep(model: Model, gap: Array, verb: str, allowed: float | np.ndarray) -> list[str]:
+    """Bars whose axis lies inside a body: penetration beyond half the thickness, plus `allowed` mm, (bodies,) or one for all: of
+    a start that is settled afterwards, or what a soft contact may give way at rest."""
     if not gap.size:
         return []
     layout, half = model.layout, model.bars.half_thickness
     halves, found = np.asarray(to_nodes(layout, half, half)), []
+    deepest = np.broadcast_to(allowed, (len(model.body_names),))
     for index, (name, row) in enumerate(zip(model.body_names, np.asarray(gap), strict=True)):
         part = f"{'rollers' if index < model.rollers.n else 'guides'}.{name}"
         for k, sheet in enumerate(layout.names):
             mine = layout.sheet_of_feature[:, k]
             beyond = row[mine] + halves[mine]
             worst = int(beyond.argmin())
-            if np.isfinite(beyond[worst]) and beyond[worst] < -allowed:
+            if np.isfinite(beyond[worst]) and beyond[worst] < -deepest[index]:
                 where = f"bar {worst}" if worst < layout.bars[k] else "tail"
+                limit = f"half the thickness, {halves[mine][worst]:g} mm"
+                if verb == "rests":
+                    limit = f"{halves[mine][worst] + deepest[index]:.3g} mm: a stiffer contact or less force"
                 found.append(
-                    f"{part}: sheet {sheet} {verb} {-row[mine][worst]:.3g} mm deep in it ({where}); "
-                    f"it must be less than half the thickness, {halves[mine][worst]:g} mm"
+                    f"{part}: sheet {sheet} {verb} {-row[mine][worst]:.3g} mm deep in it ({where}); it must be less than {limit}"
                 )
     return list(dict.fromkeys(found))
 

@@ -32,6 +32,8 @@ HOLD = 0.02
 """s: friction at rest holds as over this time of creep."""
 ANCHOR = 1e4
 """s: inertia over this time squared fixes what nothing else does (an idle roller that touches nothing)."""
+FAR = 1e5
+"""mm: what goes further to its rest is held by the anchor alone, a pinch that nothing stops."""
 COLD, WARM = 1e-5, 1e-2
 """s2: squared length of the first implicit step of the search, from an unknown and from a nearby state."""
 
@@ -99,7 +101,8 @@ def settle_model(model: Model, start: State, near: State | None = None) -> tuple
     freed = Freed(at_rest(model), start, inertia, guess)
     rest, converged = _balance(freed)
     found = with_positions(model, start, rest.q, jnp.zeros_like(rest.q))
-    return replace(found, grip=_grip_at_rest(freed, rest)), converged > 0
+    way = jnp.concatenate([found.x - start.x, found.y - start.y, found.travel - start.travel])
+    return replace(found, grip=_grip_at_rest(freed, rest)), (converged > 0) & (jnp.max(jnp.abs(way)) < FAR)
 
 
 class Freed(NamedTuple):

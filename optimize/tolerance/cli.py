@@ -1,5 +1,6 @@
 """The commands `tolerance` and `latitude`. Heavy imports stay inside them: a help text must come at once."""
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -72,8 +73,13 @@ def tolerance(study: str, **options: Any) -> None:
     with refusing(ClusterError, FolderError, OutputError), holding(options["out"]):
         if options["replay"]:
             _replay(problem, options["out"], options["replay"], options["force"])
-        else:
+            return
+        try:
             _run(problem, **options)
+        except KeyboardInterrupt:
+            kept = f"; what was run is kept in {options['out']}, --resume goes on" if options["out"] else ""
+            click.echo(f"stopped by Ctrl-C{kept}", err=True)
+            sys.exit(130)
 
 
 @click.command(context_settings=SETTINGS, short_help="Which sheets pass: a map over two quantities.")
@@ -217,7 +223,7 @@ def _bar(total: int, what: str) -> Iterator[Callable[[int, int, int], None]]:
             share = proportion(failed, done)
             told = (
                 f"{done} of {total} {what}{rate}; {100 * share.value:.3g} % do not pass "
-                f"({100 * share.low:.2g} to {100 * share.high:.2g})"
+                f"({100 * share.low:.3g} to {100 * share.high:.3g})"
             )
             bar.update(task, completed=done, told=told)
             if not screen.is_terminal and (clock - last > 30.0 or done == total):
