@@ -579,6 +579,12 @@ def test_a_value_of_the_wrong_kind_is_said_before_any_remark(change, said):
     assert said in done.output
 
 
+def test_steps_too_long_for_the_energy_are_told():
+    assert report._unbalanced({"work of drives": 100.0, "numerical": 15.0}) == ""
+    assert "too long" in report._unbalanced({"work of drives": 100.0, "numerical": -237.0})
+    assert report._unbalanced({"work of drives": 0.0, "numerical": 1.0}) == ""
+
+
 def test_a_tolerance_is_said_to_be_that_of_a_step():
     run = {"tolerance": 0.01}
     assert report._steps(run) == "The tolerance of 0.01 mm is that of each step; together they leave"

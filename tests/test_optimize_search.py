@@ -1,5 +1,6 @@
 """The search on a nip whose answer is known: the force of a nip is its preload and the spring's share (no gravity)."""
 
+import io
 import json
 from dataclasses import replace
 
@@ -7,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 from stand_in_nip import nip
 
 import diffeed
@@ -19,7 +21,7 @@ from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluated, Evaluator
 from optimize.journal import FILES, HISTORY, Journal, JournalError
 from optimize.problem import Seen, Settings, eased, look, make_problem, over_media, simulate
-from optimize.report import write_result
+from optimize.report import print_result, write_result
 from optimize.study_file import make_study
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
@@ -365,6 +367,20 @@ def test_a_point_at_which_a_machine_fails_is_no_result():
     assert point.verdicts[0].status == "passed"
     assert np.isnan(point.objective)
     assert point.rank > replace(point, objective=1e6).rank
+
+
+def test_gradients_that_cannot_be_are_told():
+    problem = problem_of(search={"iterations": 2})
+    result = design(problem)
+    steep = [result.history[0] | {"gradient": 1e26}, *result.history[1:]]
+
+    def told(history):
+        text = io.StringIO()
+        print_result(Console(file=text, width=100), replace(result, history=history))
+        return " ".join(text.getvalue().split())
+
+    assert "In 1 of 2 iterations the gradient promised more than 10000 times the objective" in told(steep)
+    assert "promised" not in told(result.history)
 
 
 def test_slip_is_held_against_the_floor_of_the_law_that_the_run_had():

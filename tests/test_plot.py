@@ -201,6 +201,14 @@ def test_a_name_is_not_put_nearer_to_another_part():
         assert own <= foreign
 
 
+def test_a_blame_map_draws_no_gain_that_is_none():
+    """Nobody gains ten times what there is by a tenth of a millimetre."""
+    slope = {f"rollers.{name}.center": np.array([1e9, 0.0]) for name in SCENE.rollers}
+    drawn = blame_map(SCENE, RUN, Blame(12.8, slope, {}))
+    assert drawn.get_title(loc="left") == "No gradient to believe: it promises 1e+08 per 0.1 mm of an objective of 12.8"
+    assert not [t for t in drawn.texts if "1e+08" in t.get_text()]
+
+
 def test_a_blame_map_without_arrows_says_why():
     nothing = Blame(0.0, {f"rollers.{name}.center": np.zeros(2) for name in SCENE.rollers}, {})
     assert blame_map(SCENE, RUN, nothing).get_title(loc="left") == "Moving parts does not change the objective"

@@ -217,7 +217,7 @@ def _energy_table(energy: dict[str, Any]) -> "Table":
 
 def _unbalanced(energy: dict[str, Any]) -> str:
     """What is to be said where steps as long as these do not add up."""
-    work, lost = energy["work of drives"], energy["numerical"]
+    work, lost = energy["work of drives"], energy.get("numerical")
     if not work or lost is None or abs(lost) <= UNBALANCED * abs(work):
         return ""
     return (
