@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.smooth import ramp, soft_max
+from diffeed.base.smooth import polar, ramp, soft_max
 from diffeed.input.parts import Scene, normalise
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
@@ -70,9 +70,9 @@ def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
     ahead, left = (lead - goal.position) @ way, (goal.position - tail) @ way
     beside = jnp.abs((lead - goal.position) @ jnp.stack([-way[1], way[0]]))
     through = (ahead >= 0.0) & (left > 0.0) & (beside < goal.range)  # it lies in the gate at the start
-    from_lead = scene.sheets[name].length + jnp.sqrt(jnp.sum((goal.position - lead) ** 2))
+    from_lead = scene.sheets[name].length + polar(*(goal.position - lead))[0]
     tail_first = feed.commanded < 0.0
-    from_tail = jnp.where(through, left, jnp.sqrt(jnp.sum((goal.position - tail) ** 2)))
+    from_tail = jnp.where(through, left, polar(*(goal.position - tail))[0])
     needed = jnp.where(through | tail_first, from_tail, from_lead)
     return jnp.minimum(jnp.where(tail_first, -feed.fed, feed.fed) / needed - 1.0, 1.0)
 

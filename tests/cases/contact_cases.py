@@ -28,8 +28,8 @@ def plate(mass: float, length: float, **more: Any) -> diffeed.Sheet:
 
 
 def power_law(stiffness: float, exponent: float, **more: Any) -> diffeed.Contact:
-    """The bare power law: no ramp, which would bias a comparison with one."""
-    given = {"damping": 0.0, "damping_exponent": exponent, "smoothing": 0.0} | more
+    """The bare power law: no ramp, which would bias a comparison with one, but what a linear one must have at least."""
+    given = {"damping": 0.0, "damping_exponent": exponent, "smoothing": 0.0 if exponent > 1.0 else 1e-9} | more
     return diffeed.Contact(stiffness=stiffness, exponent=exponent, **given)
 
 
