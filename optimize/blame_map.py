@@ -92,7 +92,7 @@ def _joined(runs: diffeed.Trajectory) -> diffeed.Trajectory:
     """The whole run of consecutive ones, (runs, ...) each, as `readings.trajectory.join` makes it, inside a trace."""
 
     def along(v: Array) -> Array:
-        return jnp.concatenate([v[0, :1], v[:, 1:].reshape(-1, *v.shape[2:])])
+        return jnp.concatenate([v[0, :1], v[:, 1:].reshape(v.shape[0] * (v.shape[1] - 1), *v.shape[2:])])
 
     frames = {name: jax.tree.map(along, getattr(runs, name)) for name in FRAMED}
     return replace(jax.tree.map(lambda v: v[-1], runs), **frames)
