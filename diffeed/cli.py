@@ -222,7 +222,7 @@ def _run(ask: Request) -> int:
             progress = _simulate(ask, scene, begun)
             status = _finish(ask, scene, progress, draft, earlier)
         if progress.stopped:
-            leave_at_once(status)
+            leave_at_once(130)
         return status
 
 
@@ -282,8 +282,6 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
     if ask.out and draft:
         names = write_files(draft, ask.out, scene, trajectory, summary, earlier and (earlier.scene, earlier.run))
         click.echo(f"written to {ask.out}: {', '.join(names)}")
-    if progress.stopped:
-        return 130
     return 0 if trajectory.ok and (confirmed is None or confirmed.holds) else 1
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from diffeed.base.names import hint
 from diffeed.base.words import quoted
@@ -94,11 +94,13 @@ def _creep(contact: Contact, load: Array) -> Array:
 
     if contact.static_ratio is None:
         return inverse(load)
-    speed = jnp.zeros_like(load)
-    for _ in range(SLOWLY):  # from below, so that of several speeds the slowest is found
+
+    def nearer(_: int, speed: Array) -> Array:
         share = 1.0 + (contact.static_ratio - 1.0) / (1.0 + (speed / contact.transition_speed) ** 2)
-        speed = inverse(load / share)
-    return speed
+        return inverse(load / share)
+
+    # From below, so that of several speeds the slowest is found.
+    return lax.fori_loop(0, SLOWLY, nearer, jnp.zeros_like(load))
 
 
 # --- path ------------------------------------------------------------------------------------------------------------

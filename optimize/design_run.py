@@ -62,6 +62,13 @@ class Result:
         return self.problem.scene(self.after.unit)
 
     @property
+    def size(self) -> float:
+        """The largest objective that was met, of either sign: near its least an objective may be as small as it likes, and
+        nothing can be held against it."""
+        met = [line["objective"] for line in self.history] + [self.before.objective, self.after.objective]
+        return max((abs(v) for v in met if v is not None and np.isfinite(v)), default=0.0)
+
+    @property
     def improved(self) -> bool:
         return self.after.rank < self.before.rank
 

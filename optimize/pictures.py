@@ -51,20 +51,21 @@ def variables(problem: Any, lines: list[dict[str, Any]], ax: "Axes | None" = Non
     return ax
 
 
-def blame_map(scene: diffeed.Scene, run: Any, found: Blame, ax: "Axes | None" = None) -> "Axes":
+def blame_map(
+    scene: diffeed.Scene, run: Any, found: Blame, size: float | None = None, ax: "Axes | None" = None
+) -> "Axes":
     """The machine with arrows: move this point this way. Lengths are in proportion to the gain; the gain of 0.1 mm is
-    written beside the largest."""
+    written beside the largest. No arrows where that would be `ABSURD`, held against the `size` of the objective (the point's own
+    if None)."""
     ax = plot.machine(scene, run, frames=(0, -1), ax=ax)
     rows = gain_of(found)[:SHOWN]
     rows = [row for row in rows if row[2] >= FAINTEST * rows[0][2]]  # the shortest arrow must not stand for nothing
     if not rows:
         _title(ax, "Moving parts does not change the objective")
         return ax
-    if rows[0][2] > ABSURD * abs(found.objective) > 0.0:
-        _title(
-            ax,
-            f"No gradient to believe: it promises {rows[0][2]:.2g} per 0.1 mm of an objective of {found.objective:.3g}",
-        )
+    worth = abs(found.objective) if size is None else size
+    if rows[0][2] > ABSURD * worth > 0.0:
+        _title(ax, f"No gradient to believe: it promises {rows[0][2]:.2g} per 0.1 mm of an objective of {worth:.3g}")
         return ax
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     longest = 0.12 * max(np.ptp(low), np.ptp(high))

@@ -105,27 +105,30 @@ def print_result(console: "Console", result: Result) -> None:
             broken = _broken(problem, asked.spec, after.missed[m][k])
             table.add_row(_label(medium, asked), asked.term.unit, f"{before.limits[m][k]:.5g}",
                           f"{after.limits[m][k]:.5g}", _wanted(asked.spec) + broken)  # fmt: skip
-    table.add_row("objective", "", f"{before.objective:.5g}", f"{after.objective:.5g}", "least")
+    worth = (
+        "-" if np.isnan(v) else f"{v:.5g}" for v in (before.objective, after.objective)
+    )  # "-": a machine's run fails
+    table.add_row("objective", "", *worth, "least")
     console.print(table)
     if problem.inputs:
         console.print(_machines(problem.study.robust))
-    spent = result.progress
-    steep = [line for line in result.history if _is_steep(line)]
+    _print_search(console, result)
+
+
+def _print_search(console: "Console", result: Result) -> None:
+    """Whether its gradients can be believed, and what it took."""
+    spent, size = result.progress, result.size
+    steep = sum(line["gradient"] is not None and line["gradient"] > STEEP * size > 0.0 for line in result.history)
     if steep:
         console.print(
-            f"In {len(steep)} of {len(result.history)} iterations the gradient promised more than {STEEP:g} times the objective"
-            " over the range of the variables: do not believe it. `check` says of which variables;"
+            f"In {steep} of {len(result.history)} iterations the gradient promised more than {STEEP:g} times the largest"
+            " objective over the range of the variables: do not believe it. `check` says of which variables;"
             ' search.gradient = "expected" may help.'
         )
     console.print(
         f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
         f"{spent.seconds:.1f} s (compilation included)"
     )
-
-
-def _is_steep(line: dict[str, Any]) -> bool:
-    slope, objective = line["gradient"], line["objective"]
-    return slope is not None and objective is not None and slope > STEEP * abs(objective) > 0.0
 
 
 def _label(medium: str, asked: Any) -> str:
@@ -195,7 +198,8 @@ def _write_pictures(folder: Path, result: Result) -> None:
     for k, unit in points.items():
         found = blame(problem, unit)
         plot_style.save(
-            folder / f"blame_{k}.png", lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found)
+            folder / f"blame_{k}.png",
+            lambda k=k, found=found: pictures.blame_map(scenes[k], runs[k], found, result.size),
         )
     if parts_of(scenes["before"]):
         found = arising(problem, points["before"])

@@ -87,21 +87,21 @@ def shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> di
 
 def turned(scene: diffeed.Scene, part: str, about: Any, value: Array) -> diffeed.Scene:
     """The scene with a roller or guide turned by `value` degrees about a point."""
-    centre, angle = np.asarray(about, dtype=float), jnp.deg2rad(value)
+    centre, angle, pivot = np.asarray(about, dtype=float), jnp.deg2rad(value), _pivot(scene, part)
     c, s = jnp.cos(angle), jnp.sin(angle)
 
     def by_angle(way: Array) -> Array:
         x, y = way[..., 0], way[..., 1]
         return jnp.stack([c * x - s * y, s * x + c * y], axis=-1)
 
-    for path in [*places(scene, part), *_pivot(scene, part)]:
+    for path in [*places(scene, part), *pivot]:
         scene = diffeed.put(scene, path, centre + by_angle(diffeed.get(scene, path) - centre))
     held = diffeed.get(scene, part)
     if hasattr(held, "start_angle"):
         scene = diffeed.put(scene, f"{part}.start_angle", held.start_angle + value)
     if hasattr(held, "direction"):  # the travel of a pinch roller turns with its nip
         scene = diffeed.put(scene, f"{part}.direction", by_angle(held.direction))
-    if _pivot(scene, part):  # and so does the way that a part is moved
+    if pivot:  # and so does the way that a part is moved
         path = f"{part}.motion.displacement"
         scene = diffeed.put(scene, path, by_angle(diffeed.get(scene, path)))
     return scene

@@ -99,7 +99,7 @@ def test_what_rollers_do_differently_is_told(scene, run):
     found = compared({"nips": seen(slip_rms=16.6, force_peak=0.1)}, {"nips": seen(slip_rms=47.2, force_peak=0.3)})
     assert found.unsure == ("slip RMS of drive, 16.6 mm/s here and 47.2 there",)
     assert found.holds
-    assert found.sentence().endswith(f"Of the rollers not: {found.unsure[0]}.")
+    assert found.sentence().endswith(f"Not confirmed of the rollers: {found.unsure[0]}.")
     assert compared({}, {"nips": seen()}).unsure == ()
 
 

@@ -317,7 +317,8 @@ def test_the_command_runs_what_was_advised(swept):
     assert advise.command(found, row) == (
         f"diffeed run made_up --duration {found.duration:g} --dt 2e-4 --method linear_euler --set rollers.drive.radius=10.1"
     )
-    assert advise.call(row) == "diffeed.simulate(scene, dt=2e-4, method='linear_euler')"
+    seconds = f"{found.duration:g}"
+    assert advise.call(found, row) == f"diffeed.simulate(scene, duration={seconds}, dt=2e-4, method='linear_euler')"
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

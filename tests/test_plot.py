@@ -207,6 +207,8 @@ def test_a_blame_map_draws_no_gain_that_is_none():
     drawn = blame_map(SCENE, RUN, Blame(12.8, slope, {}))
     assert drawn.get_title(loc="left") == "No gradient to believe: it promises 1e+08 per 0.1 mm of an objective of 12.8"
     assert not [t for t in drawn.texts if "1e+08" in t.get_text()]
+    near = blame_map(SCENE, RUN, Blame(1e-9, {k: v * 1e-9 for k, v in slope.items()}, {}), size=12.8)
+    assert near.get_title(loc="left").startswith("Which way to move what"), "near its least an objective is small"
 
 
 def test_a_blame_map_without_arrows_says_why():

@@ -151,17 +151,8 @@ def cheaper_models(front: Front, row: Row, wanted: dict[str, float]) -> list[str
 def command(front: Front, row: Row) -> str:
     """The command line that runs a scene so."""
     s = row.setting
-    words = [
-        "diffeed",
-        "run",
-        front.scene,
-        "--duration",
-        f"{front.duration:g}",
-        "--dt",
-        power(s.dt),
-        "--method",
-        s.method,
-    ]
+    words = ["diffeed", "run", front.scene, "--duration", f"{front.duration:g}"]
+    words += ["--dt", power(s.dt), "--method", s.method]
     words += [] if s.tolerance is None else ["--tolerance", power(s.tolerance)]
     words += ["--float32"] if s.precision == "float32" else []
     for change in (*front.assignments, *s.changes):
@@ -169,9 +160,9 @@ def command(front: Front, row: Row) -> str:
     return " ".join(shlex.quote(w) for w in words)
 
 
-def call(row: Row) -> str:
+def call(front: Front, row: Row) -> str:
     """The call of `simulate` that does the same."""
     given = ", ".join(
         f"{k}={v!r}" if isinstance(v, str) else f"{k}={power(v)}" for k, v in row.setting.options().items()
     )
-    return f"diffeed.simulate(scene, {given})"
+    return f"diffeed.simulate(scene, duration={front.duration:g}, {given})"

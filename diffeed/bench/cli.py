@@ -405,7 +405,7 @@ def _tell(found: "Front", wanted: dict[str, float]) -> bool:
         )
     for other in cheaper_models(found, row, wanted) if advice.met else []:
         click.echo(f"Cheaper, but another model or precision: {other}")
-    click.echo(f"\n  {command(found, row)}\n  {call(row)}\n")
+    click.echo(f"\n  {command(found, row)}\n  {call(found, row)}\n")
     click.echo(f"Timed on {sentence(found.machine)}")
     return advice.met
 

@@ -66,13 +66,9 @@ def initial_grip(model: Model) -> Array | None:
 
 def _centre_velocity(sheet: Sheet, headings: Array, rates: Array) -> Array:
     """Velocity of the mass centre, given the leading edge's and the rates."""
-    lead = (
-        sheet.speed * jnp.stack([jnp.cos(headings[0]), jnp.sin(headings[0])])
-        if sheet.velocity is None
-        else sheet.velocity
-    )
-    bar = sheet.length / sheet.bars
-    turning = rates[:, None] * jnp.stack([-jnp.sin(headings), jnp.cos(headings)], axis=1) * bar
+    c, s, bar = jnp.cos(headings), jnp.sin(headings), sheet.length / sheet.bars
+    lead = sheet.speed * jnp.stack([c[0], s[0]]) if sheet.velocity is None else sheet.velocity
+    turning = rates[:, None] * jnp.stack([-s, c], axis=1) * bar
     behind = jnp.cumsum(turning, axis=0) - 0.5 * turning
     return lead - jnp.mean(behind, axis=0)
 

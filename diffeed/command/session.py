@@ -69,7 +69,6 @@ def load_sound(
         scene = replace(assign(diffeed.load_scene(where), assignments), **changes)
         if then:
             say(then)
-        checked(scene)
         for remark in diffeed.remarks(scene):
             say(f"note: {remark}")
         problems = patiently(lambda: diffeed.check(scene, dt, method, tolerance, frames))

@@ -33,7 +33,7 @@ def of_step(
     """
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
-    leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_surface(model, after))
+    leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_idler(model, after))
     cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(touching.sheets, kept, h)
     if touching.rollers is not None:
         cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
@@ -57,8 +57,8 @@ def _speeds(model: Model, state: State) -> Array:
     return jnp.concatenate([state.vx, state.vy, state.rate * jnp.max(model.bars.half_length), state.travel_rate])
 
 
-def _fastest_surface(model: Model, state: State) -> Array:
-    """mm/s of the rollers that turn freely."""
+def _fastest_idler(model: Model, state: State) -> Array:
+    """mm/s, of the surfaces of rollers that turn freely."""
     rollers = model.rollers
     return jnp.max(jnp.abs(state.spin * rollers.radius[rollers.free]), initial=0.0)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from diffeed.input.check_records import check_records
 from diffeed.input.check_rules import Rule
 from diffeed.input.check_values import sound
 from diffeed.input.parts import ArcGuide, Contact, FixedRoller, MovableRoller, Profile, Scene, Sheet
@@ -32,10 +33,12 @@ BEYOND_USE = 100.0
 
 
 def remarks(scene: Scene) -> list[str]:
-    """Sentences on what a sound scene holds that is unusual enough to be a mistake; empty for most.
+    """Sentences on what a sound scene holds that is unusual enough to be a mistake; empty for most, and for an unsound one.
 
     Each names part, field and value, and what is usual. `diffeed check` and `diffeed run` show them and go on.
     """
+    if check_records(scene):
+        return []
     found = list(_of_scene(scene))
     for section in ("sheets", "rollers", "guides", "contacts"):
         for name, part in sorted(getattr(scene, section).items()):

@@ -61,7 +61,7 @@ class Confirmation(NamedTuple):
             return self._of_place()
         more = len(self.unsure) - MOST
         told = "; ".join(self.unsure[:MOST]) + (f"; and {more} more" if more > 0 else "")
-        return f"{self._of_place()} Of the rollers not: {told}."
+        return f"{self._of_place()} Not confirmed of the rollers: {told}."
 
     def _of_place(self) -> str:
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s), of {self.way:.3g} mm moved"

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 
 from diffeed.chain.state import State, mean_per_sheet
@@ -14,7 +13,7 @@ from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene
 from diffeed.model.build import build
 from diffeed.readings.observe import commanded_speed
-from diffeed.readings.snapshot import look
+from diffeed.readings.snapshot import gaps_of_pairs, look
 
 
 class Feeding(NamedTuple):
@@ -64,7 +63,6 @@ def approach(scene: Scene, states: State) -> Approach:
         pairs = touching.sheets
         assert pairs is not None
         c, s = heading(model, at, pairs, None)
-        gap = pairs.gap.at[: len(model.circle_names)].add(jnp.where(model.circles.active > 0, 0.0, jnp.inf)[:, None])
-        return Approach(gap, -(c * pairs.nx + s * pairs.ny), pairs.weight)
+        return Approach(gaps_of_pairs(model, pairs), -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

@@ -46,10 +46,15 @@ def felt_by_bodies(model: Model, pairs: Pairs, at: Pose) -> Felt:
     return jax.tree.map(lambda v: jnp.sum(v, axis=1), felt_by_pairs(model, pairs, at, keep_all(model)))
 
 
+def gaps_of_pairs(model: Model, pairs: Pairs) -> Array:
+    """(bodies, features) mm, of contacts that hold every body. A joined tip touches nothing: its gap is infinite."""
+    n, tips = len(model.circle_names), model.circles.active[:, None] > 0
+    return pairs.gap.at[:n].set(jnp.where(tips, pairs.gap[:n], jnp.inf))
+
+
 def gaps_to_bodies(model: Model, pairs: Pairs) -> Array:
-    """(bodies,) mm, the smallest, of contacts that hold every body. A joined tip touches nothing: its gap is infinite."""
-    gap, n = jnp.min(pairs.gap, axis=1), len(model.circle_names)
-    return gap.at[:n].set(jnp.where(model.circles.active > 0, gap[:n], jnp.inf))
+    """(bodies,) mm, the smallest of `gaps_of_pairs`."""
+    return jnp.min(gaps_of_pairs(model, pairs), axis=1)
 
 
 def guide_names(model: Model) -> tuple[str, ...]:

@@ -149,12 +149,12 @@ def searched(model: Model, found: Candidates, begun: Resume, carry: Resume) -> R
         gained &= (carry.cause == 0) & (cause == 0)
         cause = jnp.where(gained, FROM_NOWHERE, cause)
         good = jax.tree.map(lambda a, b: jnp.where(gained, a, b), (begun.state, begun.open, begun.error), good)
-    lost = (carry.cause == 0) & (cause > 0)
+    lost, (state, seen, error) = (carry.cause == 0) & (cause > 0), good
     return replace(
         carry,
-        state=good[0],
-        open=good[1],
-        error=good[2],
+        state=state,
+        open=seen,
+        error=error,
         cause=jnp.where(lost, cause, carry.cause).astype(jnp.int32),
         failed_at=jnp.where(lost, carry.state.time, carry.failed_at),
         book=book,

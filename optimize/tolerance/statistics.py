@@ -248,6 +248,7 @@ def sobol(f_a: Any, f_b: Any, f_ab: Any, seed: int, level: float = 0.95) -> Indi
         none = np.full(d, math.nan)
         return Indices(none, none, none, none, none, none, n)
 
+    # SciPy's own `sobol_indices` takes whole powers of two alone; the same estimators (a test holds them against it).
     def both(drawn: np.ndarray, axis: int = -1) -> np.ndarray:  # (..., n) points -> (2, d, ...)
         a, b, ab = f_a[drawn], f_b[drawn], f_ab[:, drawn]
         halves = np.concatenate([a, b], axis=-1)
