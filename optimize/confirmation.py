@@ -3,11 +3,10 @@ leave wrong for a gain."""
 
 from dataclasses import dataclass, replace
 
-from diffeed.readings.agreement import FINER, finer
+from diffeed.readings.agreement import FINER
 from optimize.asked import run_problems
 from optimize.design_run import Result, Scored, score
 from optimize.problem import SLACK
-from optimize.study import Study
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def confirm(result: Result) -> Confirmation | None:
     """
     if not result.improved:
         return None
-    study = in_finer_steps(result.problem.study)
+    study = result.problem.study.finer()
     problems: list[str] = []
     for name, scene in zip(result.problem.media, result.problem.scenes, strict=True):
         run_problems(study, scene, f"media.{name}" if name else "", problems)
@@ -59,9 +58,3 @@ def confirm(result: Result) -> Confirmation | None:
     problem = replace(result.problem, study=study)
     before, after = (score(problem, point.unit) for point in (result.before, result.after))
     return Confirmation(before, after, (result.before.objective, result.after.objective))
-
-
-def in_finer_steps(study: Study) -> Study:
-    """The same study with steps `FINER` times shorter, or such a tolerance and as many more steps."""
-    steps = finer(study.dt, study.step_tolerance, study.most_steps)
-    return study.model_copy(update={"step_tolerance" if key == "tolerance" else key: v for key, v in steps.items()})

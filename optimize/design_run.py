@@ -17,6 +17,7 @@ from optimize.evaluate import seen_at
 from optimize.journal import Journal
 from optimize.problem import SLACK, Problem, make_problem, over_media, simulate
 from optimize.study import Study
+from optimize.terms import TERMS
 
 VERDICT = ("arrivals", "feed", "nips", "energy", "gaps", "curvature")
 """Observed in the runs before and after, for verdict and tables."""
@@ -34,6 +35,9 @@ class Scored:
     violation: float  # largest, in the limits' scales; <= 0: kept
     verdicts: tuple[measures.Verdict, ...]  # per medium
     missed: np.ndarray  # (media, limits) how far each is broken, in its scale; `violation` is the largest
+    margins: tuple[
+        dict[str, dict[str, float]], ...
+    ]  # per medium, of each sheet whose jam margin is asked for: its parts
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -130,7 +134,15 @@ def score(problem: Problem, unit: np.ndarray) -> Scored:
         violation=float(seen.violation.max(initial=-1.0)),
         verdicts=tuple(measures.verdict(*of) for of in zip(scenes, runs, strict=True)),
         missed=by_limit(problem.limits, np.asarray(seen.violation)),
+        margins=tuple(_margins(problem, *of) for of in zip(scenes, runs, strict=True)),
     )
+
+
+def _margins(problem: Problem, scene: diffeed.Scene, run: Any) -> dict[str, dict[str, float]]:
+    """The parts of the jam margins that the study asks for, by sheet: the smallest is what binds."""
+    asked = [a for a in (*problem.goals, *problem.limits) if a.term is TERMS["jam_margin"]]
+    sheets = sorted({part for a in asked for part in a.parts})
+    return {s: {k: float(v) for k, v in measures.jam_margins(scene, run, s).items()} for s in sheets}
 
 
 def run_of(problem: Problem, unit: np.ndarray, medium: int = 0) -> Any:

@@ -1,7 +1,7 @@
 """What studies of all kinds are made of: a record that knows its fields, what a number moves, a measure, a limit."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from diffeed.base.limits import MAX_STEPS
 from diffeed.base.words import escaped, name_problem
+from diffeed.readings.agreement import finer
 
 
 def _named(name: str) -> str:
@@ -144,6 +145,11 @@ class Runs(Record):
             return {"dt": self.dt, "method": self.method}
         dt = self.dt if "dt" in self.model_fields_set else None
         return {"dt": dt, "method": self.method, "tolerance": self.step_tolerance, "most_steps": self.most_steps}
+
+    def finer(self) -> Self:
+        """The same with steps four times shorter, or such a tolerance and as many more steps, to confirm by."""
+        steps = finer(self.dt, self.step_tolerance, self.most_steps)
+        return self.model_copy(update={"step_tolerance" if key == "tolerance" else key: v for key, v in steps.items()})
 
 
 class Measured(Record):

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 WORDS = ("unit", "wanted")
+"""Columns of words in the tables."""
 STEEP = 1e4
 """Times the objective that a gradient promises over the range of the variables: no landscape that means anything is so steep."""
-"""Columns of words in the tables."""
 
 
 def summarise(result: Result, confirmed: Confirmation | None = None) -> dict[str, Any]:
@@ -62,6 +62,9 @@ def _point(result: Result, scored: Scored) -> dict[str, Any]:
                 "verdict": scored.verdicts[m].sentence(),
                 "goals": {a.name: _finite(scored.goals[m][k]) for k, a in enumerate(problem.goals)},
                 "limits": {a.name: _finite(scored.limits[m][k]) for k, a in enumerate(problem.limits)},
+                "jam_margins": {
+                    sheet: {part: _finite(v) for part, v in parts.items()} for sheet, parts in scored.margins[m].items()
+                },
             }
             for m, name in enumerate(problem.media)
         },
@@ -105,6 +108,11 @@ def print_result(console: "Console", result: Result) -> None:
             broken = _broken(problem, asked.spec, after.missed[m][k])
             table.add_row(_label(medium, asked), asked.term.unit, f"{before.limits[m][k]:.5g}",
                           f"{after.limits[m][k]:.5g}", _wanted(asked.spec) + broken)  # fmt: skip
+        for sheet, parts in before.margins[m].items():
+            for part, was in parts.items():
+                table.add_row(
+                    _margin(medium, sheet, part), "1", f"{was:.5g}", f"{after.margins[m][sheet][part]:.5g}", ""
+                )
     worth = (
         "-" if np.isnan(v) else f"{v:.5g}" for v in (before.objective, after.objective)
     )  # "-": a machine's run fails
@@ -129,6 +137,11 @@ def _print_search(console: "Console", result: Result) -> None:
         f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
         f"{spent.seconds:.1f} s (compilation included)"
     )
+
+
+def _margin(medium: str, sheet: str, part: str) -> str:
+    """A part of a jam margin, of the machine as drawn: the smallest binds."""
+    return f"{medium}: {sheet}: {part}" if medium else f"{sheet}: {part}"
 
 
 def _label(medium: str, asked: Any) -> str:

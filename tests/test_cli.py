@@ -132,7 +132,7 @@ def finished(place) -> subprocess.CompletedProcess[str]:
 def test_a_run_reports_its_verdict_first_in_plain_text_of_80_columns(finished):
     assert finished.returncode == 0, finished.stderr
     lines = finished.stdout.splitlines()
-    assert lines[0].startswith("PASSED: the tail of strip passed exit, at 0.0")
+    assert lines[0].startswith("PASSED: the tail of strip passed sensor exit, at 0.0")
     assert "\x1b" not in finished.stdout + finished.stderr
     assert max(len(line) for line in lines[:-1]) <= 80
     assert "Traceback" not in finished.stderr
@@ -536,6 +536,7 @@ def test_a_report_with_long_names_fits_the_terminal(width):
          "torque_mean"), -1234.5678)  # fmt: skip
     sheet = {"arrivals": {name: {"lead": 0.5, "tail": None}}, "largest_curvature": 0.01, "fed": 300.0}
     sheet |= {"commanded": 300.0, "progress": 1.0, "longest_stall": 0.0}
+    sheet["jam_margins"] = dict.fromkeys(("progress", "buckling", "fold", "attack", "gap"), -1234.5678)
     run = {"scene": "x", "simulated": 1.0, "steps": 10, "dt": 0.1, "error": 0.1, "method": "m", "precision": "float64"}
     summary = {
         "verdict": {"status": "jammed", "reason": "[x] stalled", "time": 0.5, "place": "here"},

@@ -224,8 +224,8 @@ def test_observations_must_be_asked_for(run):
 
 
 VERDICTS = {
-    "passed": (nip(), "passed", "passed exit"),
-    "late": (nip(speed=40.0), "late", "has not reached exit"),
+    "passed": (nip(), "passed", "passed sensor exit"),
+    "late": (nip(speed=40.0), "late", "has not passed sensor exit at the end of the run: it is "),
     "stalled at a stop": (  # so stiff that the drive slips before the sheet buckles
         diffeed.put(
             nip(guides=nip().guides | {"wall": LineGuide(start=(22.0, -9.0), end=(22.0, 9.0))}),
@@ -253,3 +253,9 @@ def test_verdicts(case):
     assert verdict.time == (pytest.approx(float(found.time)) if np.isfinite(found.time) else None)
     assert verdict.status == status, verdict
     assert fragment in verdict.sentence()
+
+
+@pytest.mark.parametrize("read", [measures.verdict, measures.jam_margins, measures.energy])
+def test_arguments_in_the_wrong_order_are_told(read, run):
+    with pytest.raises(TypeError, match="a Scene is needed here, but this is a Trajectory"):
+        read(run, nip())

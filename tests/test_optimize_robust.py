@@ -62,7 +62,7 @@ def test_a_limit_is_broken_by_what_ranks_the_points(over, violation, told):
     verdict = measures.Verdict("passed", "", 0.01, "")
     point = Scored(
         study.start, {"preload": 3.0}, np.array([[4.0]]), np.array([[4.0]]), 0.0, violation, (verdict,),
-        by_limit(study.limits, np.array([[-1.0, violation]])),
+        by_limit(study.limits, np.array([[-1.0, violation]])), ({},),
     )  # fmt: skip
     text = io.StringIO()
     print_result(Console(file=text, width=140), Result(study, point, point, begin(study), [], "enough"))
@@ -78,7 +78,7 @@ def test_a_limit_is_broken_by_what_ranks_the_points(over, violation, told):
 def test_an_objective_that_cannot_get_less_says_so(objective, told):
     study, verdict = problem(), measures.Verdict("jammed", "", 0.01, "")
     value = np.array([[4.0]])
-    point = Scored(study.start, {"preload": 3.0}, value, value, objective, 0.0, (verdict,), {})
+    point = Scored(study.start, {"preload": 3.0}, value, value, objective, 0.0, (verdict,), value, ({},))
     text = io.StringIO()
     print_result(Console(file=text, width=140), Result(study, point, point, begin(study), [], "enough"))
     assert ("The objective is 0 at the start" in text.getvalue()) is told

@@ -16,7 +16,6 @@ import optimize
 from diffeed.readings.agreement import FINER
 from optimize import blame_map, descent, evaluate, programs
 from optimize.asked import values_of
-from optimize.confirmation import in_finer_steps
 from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluated, Evaluator
 from optimize.journal import FILES, HISTORY, Journal, JournalError
@@ -83,6 +82,20 @@ def test_when_sensitivity_arises_is_asked_of_the_whole_run(monkeypatch):
     blame_map.arising(problem, problem.start, spans=3)
     jax.effects_barrier()
     np.testing.assert_allclose(seen[0], np.linspace(0.0, 0.01, 7), rtol=1e-9)
+
+
+def test_which_part_of_a_margin_binds_is_told():
+    """The parts beside the smoothed smallest of them, which is never above the smallest and at most 0.05 log 5 below."""
+    problem = problem_of(objective={"spare": {"measure": "jam_margin", "of": "strip", "weight": -1.0}})
+    result = finish(problem, descent.begin(problem), [])
+    (margins,) = result.before.margins
+    parts, margin = margins["strip"], float(result.before.goals[0, 0])
+    assert list(parts) == ["progress", "buckling", "fold", "attack", "gap"]
+    assert min(parts.values()) - 0.05 * np.log(5) <= margin <= min(parts.values())
+    text = io.StringIO()
+    print_result(Console(file=text, width=140), result)
+    (row,) = (line.split() for line in text.getvalue().splitlines() if "strip: progress" in line)
+    assert float(row[3]) == pytest.approx(parts["progress"], rel=1e-3)
 
 
 @pytest.mark.slow
@@ -495,8 +508,8 @@ def test_what_was_not_improved_needs_no_confirmation_and_too_many_steps_are_told
 
 def test_a_smaller_tolerance_is_given_more_steps():
     study = problem_of(step_tolerance=0.1, most_steps=100).study
-    assert in_finer_steps(study).stepping == study.stepping | {"tolerance": 0.1 / FINER, "most_steps": 100 * FINER}
-    assert in_finer_steps(problem_of().study).stepping == problem_of().study.stepping | {"dt": TABLE["dt"] / FINER}
+    assert study.finer().stepping == study.stepping | {"tolerance": 0.1 / FINER, "most_steps": 100 * FINER}
+    assert problem_of().study.finer().stepping == problem_of().study.stepping | {"dt": TABLE["dt"] / FINER}
 
 
 # --- the result in its folder -----------------------------------------------------------------------------------------

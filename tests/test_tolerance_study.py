@@ -21,8 +21,9 @@ from diffeed import measures
 from diffeed.readings.verdict import Verdict
 from optimize.asked import StudyError
 from optimize.terms import TERMS, Term
+from optimize.tolerance import confirmation, report
 from optimize.tolerance import latitude as latitude_of
-from optimize.tolerance import report
+from optimize.tolerance.confirmation import confirm, picked
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
@@ -639,3 +640,69 @@ range = [-0.01, 0.01]
     bad = run("tolerance", "study.toml", "--indices", "6")
     assert bad.returncode == 2
     assert "power of two" in bad.stderr
+
+
+# --- confirmed by shorter steps -----------------------------------------------------------------------------------------
+
+
+def test_samples_are_run_again_in_shorter_steps(rows):
+    """The force of this nip is the same in any steps; whether it is above its limit, too."""
+    found = confirm(problem(), rows)
+    assert found.holds
+    assert not found.unsure
+    assert found.passed.of == found.others.of == 2
+    assert np.array_equal(
+        rows.passed[found.samples], ~np.isin(found.samples, found.samples[~rows.passed[found.samples]])
+    )
+    assert found.apart["force"] < 1e-3 * found.scatter["force"]
+    assert (
+        "4 samples run again in steps 4 times as fine: of 2 that passed 2 pass too, of 2 that did not 2 do not either."
+        in (found.sentence())
+    )
+
+
+def test_what_the_steps_decide_is_told(rows, monkeypatch):
+    """As if every run in shorter steps had passed, with another force."""
+
+    def lenient(problem, chunk):
+        more = np.array([0.0, 0.05])
+
+        def run(sample, deviation):
+            for got in here(problem, chunk)(sample, deviation):
+                yield got._replace(status=0 * got.status, broken=np.zeros_like(got.broken), values=got.values + more)
+
+        return run
+
+    monkeypatch.setattr(confirmation, "here", lenient)
+    found = confirm(problem(), rows)
+    assert not found.holds
+    assert found.others == (0, 2)
+    assert found.unsure == ["force"]
+    assert "of 2 that did not 0 do not either. The steps decide on the others" in found.sentence()
+    told = found._replace(others=found.others._replace(same=2)).sentence()
+    assert told.endswith("Of the scatter of force the steps make a good part: a smaller --dt tells how much.")
+    assert summarise(problem(), rows, confirmed=found)["confirmed"]["others"] == {"same": 0, "of": 2}
+
+
+@pytest.mark.parametrize(
+    ("passed", "others", "again"),
+    [
+        (1000, 0, (0, 16)),
+        (0, 1000, (16, 0)),
+        (1000, 3, (3, 13)),
+        (1, 1000, (15, 1)),
+        (100, 100, (6, 6)),
+        (2, 1, (1, 2)),
+        (20, 4, (2, 2)),
+    ],
+)
+def test_which_samples_are_run_again(passed, others, again):
+    found = np.random.default_rng(0).permutation(np.arange(passed + others) < passed)
+    which = picked(found)
+    assert len(np.unique(which)) == len(which)
+    assert (int((~found[which]).sum()), int(found[which].sum())) == again
+
+
+def test_steps_that_are_too_many_are_not_run_again(rows):
+    with pytest.raises(ValueError, match="dt"):
+        confirm(problem().changed(dt=1e-9), rows)

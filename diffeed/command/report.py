@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed")
+OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed", "spans")
 """What must be observed for a report."""
 COLORS = {"passed": "bold green", "late": "bold yellow"}
 COMPARED = {field: f"{words} ({nip_unit(field)})" for field, words in NIP_WORDS.items()}
@@ -31,6 +31,10 @@ CREEP = (
 SAME = 1e-3
 """Of a value: less is no change in a comparison."""
 PRESSED = "Negative: pressed into the part."
+MARGINS = (
+    "1: no load; 0: at the limit, beyond which it jams. Progress towards the goal, buckling between nips, fold, "
+    "attack at guides, head pressed into a guide (gap)."
+)
 FED = "Fed per turned: of the way while a driven roller held the sheet."
 UNBALANCED = 0.2
 """Of the drives' work: more that the steps themselves took or gave is told."""
@@ -57,6 +61,7 @@ def print_report(console: "Console", summary: dict[str, Any]) -> None:
         ("Rollers, over the time in which they touch a sheet", CREEP, _roller_table(summary["rollers"])),
         ("Arrivals of the sheets' edges", "", _arrival_table(summary["sheets"])),
         ("Sheets", FED, _sheet_table(summary["sheets"])),
+        ("Distance from a jam", MARGINS, _margin_table(summary["sheets"])),
         ("Smallest gaps between sheets and parts", PRESSED, _gap_table(summary["smallest_gaps"])),
         ("Energy balance", _unbalanced(summary["energy"]), _energy_table(summary["energy"])),
     ):
@@ -109,6 +114,7 @@ def _sheet(scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Any]:
         "commanded": feed.commanded,
         "progress": measures.progress(scene, trajectory)[name] if feed.commanded else None,
         "longest_stall": feed.longest_stall,
+        "jam_margins": measures.jam_margins(scene, trajectory, name),
     }
 
 
@@ -125,6 +131,8 @@ def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[s
         old, new = before["sheets"].get(name, {}), after["sheets"][name]
         yield f"{name}: fed (mm)", old.get("fed"), new["fed"]
         yield f"{name}: largest curvature (1/mm)", old.get("largest_curvature"), new["largest_curvature"]
+        for part, margin in new["jam_margins"].items():
+            yield f"{name}: distance from a jam, {part}", old.get("jam_margins", {}).get(part), margin
         for sensor, times in new["arrivals"].items():
             for edge in ("lead", "tail"):
                 yield (
@@ -145,7 +153,7 @@ def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[s
 
 def _verdict_line(verdict: dict[str, Any]) -> str:
     words = [verdict["reason"]]
-    if verdict["time"] is not None and verdict["status"] != "failed":
+    if verdict["time"] is not None and verdict["status"] in ("passed", "jammed"):
         words.append(f"at {verdict['time']:.4g} s")
     words += [verdict["place"]] if verdict["place"] else []
     return f"{verdict['status'].upper()}: {', '.join(words)}"
@@ -193,6 +201,14 @@ def _sheet_table(sheets: dict[str, Any]) -> "Table":
         radius = 1.0 / curvature if (curvature or 0.0) > FLAT else None
         values = (radius, row["fed"], row["commanded"], row["progress"], row["longest_stall"])
         table.add_row(name, "-" if curvature is None else f"{curvature:.3g}", *(_text(v) for v in values))
+    return table
+
+
+def _margin_table(sheets: dict[str, Any]) -> "Table":
+    parts = list(next(iter(sheets.values()))["jam_margins"])
+    table = plain_table("sheet", *parts)
+    for name, row in sheets.items():
+        table.add_row(name, *(_text(row["jam_margins"][part]) for part in parts))
     return table
 
 

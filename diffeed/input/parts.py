@@ -310,8 +310,10 @@ class Scene:
 def normalise(scene: Scene) -> Scene:
     """The one door: leaves become float arrays of the default dtype, vectors arrays of shape (2,), names sorted.
 
-    Runs in Python and inside a trace alike. Gives every scene a contact set named "default".
+    Runs in Python and inside a trace alike. Gives every scene a contact set named "default". TypeError for what is no scene.
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"a Scene is needed here, but this is a {type(scene).__name__}: are the arguments in order?")
     contacts = {"default": Contact()} | dict(scene.contacts)
     return _normalise_record(replace(scene, contacts=contacts))
 

@@ -10,13 +10,14 @@ import numpy as np
 from jax import Array
 
 from diffeed.base.smooth import polar, ramp, soft_max
+from diffeed.input.packing import jit_of_scene, stacked
 from diffeed.input.parts import Scene, normalise
-from diffeed.model.arrays import Model
 from diffeed.model.build import build
-from diffeed.readings.frames import approach
+from diffeed.readings.frames import Approach, approach
 from diffeed.readings.trajectory import Trajectory
 
 NEEDS = ("feed", "spans")
+PARTS = ("progress", "buckling", "fold", "attack", "gap")
 SOFTNESS = 0.05
 """Width over which the smallest part is smoothed."""
 ENOUGH = 0.5
@@ -38,26 +39,31 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
     joints against 150 degrees. attack: angle at which the head meets a guide against the angle at which friction holds it
     fast, 90 degrees less the friction angle. gap: depth to which the head is pressed into a guide against half a millimetre.
     """
+    scene = normalise(scene)
     for name in NEEDS:
         if name not in trajectory.observed:
             raise ValueError(f'jam_margins needs simulate(..., observe={NEEDS}), but "{name}" was not observed')
-    scene = normalise(scene)
     name = min(scene.sheets) if sheet is None else sheet
-    parts = {
-        "progress": _progress(scene, trajectory, name),
-        "buckling": 1.0 - trajectory.observed["spans"][name].buckling / HELD,
-        "fold": _fold(trajectory, name),
-    }
     model = jax.eval_shape(build, scene)  # names and counts only
-    if model.lines.names or model.arcs.names:
-        parts |= _head(model, scene, trajectory, name)
-    return parts
+    near = approach(scene, trajectory.states) if model.lines.names or model.arcs.names else None
+    found: dict[str, Array] = _parts(scene, trajectory, near, name)
+    return {part: found[part] for part in PARTS if part in found}
 
 
 def jam_margin(scene: Scene, trajectory: Trajectory, sheet: str | None = None) -> Array:
     """The smallest part of `jam_margins`, smoothed: never above it, at most SOFTNESS log(parts) below."""
     parts = jnp.stack(list(jam_margins(scene, trajectory, sheet).values()))
     return -soft_max(-parts, 0, SOFTNESS)
+
+
+@jit_of_scene(static_argnames=("name",))
+def _parts(scene: Scene, trajectory: Trajectory, near: Approach | None, name: str) -> dict[str, Array]:
+    parts = {
+        "progress": _progress(scene, trajectory, name),
+        "buckling": 1.0 - trajectory.observed["spans"][name].buckling / HELD,
+        "fold": _fold(trajectory, name),
+    }
+    return parts if near is None else parts | _head(scene, trajectory, near, name)
 
 
 def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
@@ -86,15 +92,16 @@ def _fold(trajectory: Trajectory, name: str) -> Array:
     return 1.0 - soft_max(turns.ravel(), 0, 0.01)
 
 
-def _head(model: Model, scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Array]:
+def _head(scene: Scene, trajectory: Trajectory, near: Approach, name: str) -> dict[str, Array]:
     """Attack and gap of the head at line and arc guides, over frames."""
+    model = build(scene)
     k = model.layout.names.index(name)
     feature, first = model.layout.starts[k] + k, len(model.circle_names)
-    gap, into, weight = (v[:, first:, feature] for v in approach(scene, trajectory.states))  # (frames, guides)
+    gap, into, weight = (v[:, first:, feature] for v in near)  # (frames, guides)
     gap = jnp.where(weight > 0, gap, jnp.inf)
     guides = [scene.guides[n] for n in (*model.lines.names, *model.arcs.names)]
     slick = np.array([scene.contacts[g.contact].friction_law == "none" for g in guides])
-    friction = jnp.where(slick, 0.0, jnp.stack([g.friction for g in guides]))
+    friction = jnp.where(slick, 0.0, stacked([g.friction for g in guides]))
     holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)
     steep = jnp.arcsin(jnp.clip(into, -0.999, 0.999)) / holds[None]
     finite = jnp.where(jnp.isfinite(gap), gap, NEAR)

@@ -103,20 +103,29 @@ def _worst(each: Outcome, ok: Array, failed_at: Array) -> Outcome:
 def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
     name, reason = sorted(scene.sheets)[int(found.sheet)], int(found.reason)
     text = {
-        REACHED: f"the tail of {name} passed {scene.goal}",
+        REACHED: f"the tail of {name} passed sensor {scene.goal}",
         FREE: f"{name} was still moving at the end",
         RESTS: f"{name} stood at the end, as the rollers that hold it did",
-        LATE: f"the tail of {name} has not reached {scene.goal} at the end of the run",
+        LATE: f"the tail of {name} has not passed sensor {scene.goal} at the end of the run",
         FOLDS: f"{name} folded back on itself",
         STRAYS: f"{name} left the path",
         STALLS: f"{name} stalled",
         LET_GO: f"{name} stalled: no driven roller holds it",
     }[reason]
     status = STATUSES[int(found.status)]
+    if reason == LATE:
+        text += _still_to_go(scene, trajectory, name)
     if status != "passed" and (back := _driven_back(scene, trajectory, name)):
         text += f", driven backwards by {back:.3g} mm (the angles and speeds of rollers are positive counter-clockwise)"
     place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
     return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
+
+
+def _still_to_go(scene: Scene, trajectory: Trajectory, name: str) -> str:
+    """Where the tail is at the end, and how fast its sheet moves: a run that is only too short is seen at once."""
+    way = np.asarray(trajectory.sheets[name].nodes)[-1, -1] - np.asarray(scene.sensors[scene.goal].position)
+    speed = float(motion(scene, trajectory.states).fed.speed[-1, sorted(scene.sheets).index(name)])
+    return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {speed:.3g} mm/s"
 
 
 def _driven_back(scene: Scene, trajectory: Trajectory, name: str) -> float:

@@ -46,6 +46,12 @@ SCENE = click.option("--scene", help="Another scene of the same parts (an improv
     "--replay", type=click.IntRange(0), multiple=True, help="Only write the animation of a sample, by its number."
 )
 @click.option("--no-pictures", is_flag=True, help="Write the samples and the numbers only.")
+@click.option(
+    "--confirm/--once",
+    default=True,
+    show_default=True,
+    help="Run up to 16 samples again with steps 4 times shorter (or tolerance), and say which come out the same; or do not.",
+)
 def tolerance(study: str, **options: Any) -> None:
     """How often will it fail with the parts as they are really made, and which tolerance is to blame?
 
@@ -138,7 +144,8 @@ def _problem(where: str, scene: str | None, changes: dict[str, Any]) -> Any:
 
 def _run(
     problem: Any, out: Path | None, resume: bool, force: bool, before: Path | None, gradients: int, indices: int | None,
-    chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool, **_: Any,
+    chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool,
+    confirm: bool, **_: Any,
 ) -> None:  # fmt: skip
     from optimize.tolerance import contributions
     from optimize.tolerance.folder import INDICES, Folder, read_rows
@@ -164,12 +171,29 @@ def _run(
         count = min(gradients, len(rows.sample))
         click.echo(f"gradients at {count} samples", err=True)
         slopes = contributions.slopes(problem, rows.deviation[:count])
-    summary = summarise(problem, rows, slopes, found)
+    confirmed = _confirmed(problem, rows) if confirm else None
+    summary = summarise(problem, rows, slopes, found, confirmed)
     print_summary(console(), summary, fails(problem, was) if was else None)
+    if confirmed is not None:
+        console().print(f"\n{confirmed.sentence()}")
     if out:
         with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
             names = write_result(out, problem, rows, summary, not no_pictures, was)
         click.echo(f"written to {out}: samples.csv, {', '.join(names)}")
+
+
+def _confirmed(problem: Any, rows: Any) -> Any:
+    """Some samples once more in shorter steps; None where that cannot be. Ctrl-C leaves it out."""
+    from optimize.tolerance.confirmation import confirm
+
+    click.echo("some samples once more, with shorter steps (--once leaves that out)", err=True)
+    try:
+        return confirm(problem, rows)
+    except KeyboardInterrupt:
+        click.echo("not confirmed: stopped by Ctrl-C", err=True)
+    except ValueError as problem:
+        click.echo(f"not confirmed: {problem}", err=True)
+    return None
 
 
 def _replay(problem: Any, out: Path, samples: tuple[int, ...], force: bool) -> None:

@@ -41,6 +41,10 @@ def print_summary(console: "Console", summary: dict[str, Any], before: dict[str,
         interval = f"{_percent(way['low'])} to {_percent(way['high'])}"
         table.add_row(name, str(way["count"]), _percent(way["value"]), interval, *was, some)
     console.print(table)
+    if summary["fails"].get("late", {}).get("count"):
+        console.print(
+            "late: still on its way when the run ended; a longer duration of the scene tells whether it passes"
+        )
     if summary["sampling"] != "plain":
         console.print(f"intervals are exact for plain draws; those of {summary['sampling']} mostly scatter less")
     console.print()

@@ -7,6 +7,7 @@ import numpy as np
 from diffeed import measures
 from diffeed.base.files import plain
 from optimize.asked import Asked
+from optimize.tolerance.confirmation import Confirmation
 from optimize.tolerance.contributions import Slopes
 from optimize.tolerance.draws import correlation, epsilons, normals, uniforms
 from optimize.tolerance.problem import ToleranceProblem
@@ -37,7 +38,11 @@ SHOWN = 5
 
 
 def summarise(
-    problem: ToleranceProblem, rows: Rows, slopes: Slopes | None = None, indices: list[Indices] | None = None
+    problem: ToleranceProblem,
+    rows: Rows,
+    slopes: Slopes | None = None,
+    indices: list[Indices] | None = None,
+    confirmed: Confirmation | None = None,
 ) -> dict[str, Any]:
     """Everything, ready for JSON: NaN and infinity become None."""
     return plain({
@@ -49,6 +54,7 @@ def summarise(
         "inputs": {i.name: {"kind": i.of.kind, "sigma": i.sigma, "unit": i.unit} for i in problem.inputs},
         "contributions": {a.name: _blame(problem, rows, k, slopes, indices) for k, a in enumerate(problem.asked)},
         "tighten": tighten(problem, rows),
+        "confirmed": None if confirmed is None else confirmed.as_numbers(),
     })  # fmt: skip
 
 

@@ -24,7 +24,7 @@ class Charts {
   curves(section, read, passes = () => true) {
     const names = [...new Set(this.runs.flatMap((run) => Object.keys(run[section])))].sort();
     const curve = (name, i, part, r) => ({
-      name, color: i % 7, dash: r ? [5, 4] : i > 6 ? [1, 3] : [], values: resampled(this.runs[r].time, read(part), this.times),
+      name, color: i % 7, dotted: i > 6, dash: r ? [5, 4] : i > 6 ? [1, 3] : [], values: resampled(this.runs[r].time, read(part), this.times),
     });
     return names.flatMap((name, i) => this.runs.flatMap((run, r) => {
       const part = run[section][name];
@@ -86,6 +86,7 @@ class Charts {
     const button = document.createElement("button"), mark = document.createElement("i"), values = document.createElement("b");
     const row = { id: `${title}.${curve.name}`, button, values, series: [] };
     mark.style.borderColor = `var(--c${curve.color})`;
+    if (curve.dotted) mark.style.borderTopStyle = "dotted";
     button.append(mark, curve.name, values);
     button.title = "Hide or show";
     button.addEventListener("click", () => {
