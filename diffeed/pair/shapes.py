@@ -26,6 +26,9 @@ class Near(NamedTuple):
     nx: Array
     ny: Array
     weight: Array  # 0..1: share of the contact that this pair carries
+    in_front: Array | bool = (
+        True  # the gap is to where the sheet is held off; else it is behind a guide, which lets go there
+    )
 
 
 def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> Near:
@@ -92,19 +95,21 @@ def past_ends_of_arc(
 
 
 def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
-    """Replace the bearing face past a free end by the tip circle, and fade it across a joined end."""
+    """The bearing face up to its free ends, and faded across joined ends. Past a free end the gap is that of the tip, which is a
+    circle like any other and feels the point by itself."""
     behind = faced.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
     gap, weight = jnp.where(behind, -faced.gap, faced.gap), jnp.where(behind, 0.0, 1.0)
     nx, ny = faced.nx, faced.ny
     # Both ends at once: (2, guides, points).
     joined, beyond = jnp.stack(face.joined) > 0, jnp.stack(faced.beyond)
     past, fading = beyond > jnp.where(joined, JOIN_WINDOW, 0.0), step_down(beyond, JOIN_WINDOW)
+    ends = jnp.where(joined, 1.0, inside(beyond))
     tip = point_circle(px[None], py[None], jnp.stack(face.tip_x), jnp.stack(face.tip_y), face.tip_radius[None])
     for end in (0, 1):
         gap = jnp.where(past[end], tip.gap[end], gap)
         nx, ny = jnp.where(past[end], tip.nx[end], nx), jnp.where(past[end], tip.ny[end], ny)
         weight = jnp.where(joined[end], weight * fading[end], jnp.where(past[end], 1.0, weight))
-    return Near(gap, nx, ny, weight)
+    return Near(gap, nx, ny, weight * ends[0] * ends[1], weight > 0)
 
 
 class BarNear(NamedTuple):
@@ -113,7 +118,8 @@ class BarNear(NamedTuple):
     gap: Array
     nx: Array
     ny: Array
-    weight: Array
+    face: Array  # share of the contact on the bar's face, 0..1
+    corner: Array  # and on its front end circle, or the tail's
     arm: Array  # mm from the bar's centre along its axis to the touched point
     on_face: Array  # bool: the circle stands over the bar's face
 
@@ -151,14 +157,14 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
     front_behind = jnp.where(chain.last, 1.0, front_behind)
     on_face = (front <= 0) & (rear <= 0) & ~chain.tail
     face = _on_face(front, rear_ahead) * _on_face(rear, front_behind)
-    node = (1.0 - _inside(front)) * (1.0 - _inside(rear_ahead))
-    weight = jnp.where(chain.tail, 1.0 - _inside(rear), face + node)
+    node = (1.0 - inside(front)) * (1.0 - inside(rear_ahead))
+    face, corner = jnp.where(chain.tail, 0.0, face), jnp.where(chain.tail, 1.0 - inside(rear), node)
     arm = jnp.clip(foot, -half, half)
     near = point_circle(chain.x + arm * c, chain.y + arm * s, cx, cy, radius)
-    return BarNear(near.gap, near.nx, near.ny, weight, arm, on_face)
+    return BarNear(near.gap, near.nx, near.ny, face, corner, arm, on_face)
 
 
-def _inside(past: Array) -> Array:
+def inside(past: Array) -> Array:
     """1 inside an end of a bar, 0 past it, handed over within `EVENLY`; without a slope right at the end, where a circle that
     stands over a joint at the start shall not make one."""
     u = jnp.clip(past / EVENLY[past.dtype.name], -1.0, 1.0)
@@ -172,4 +178,4 @@ def _on_face(mine: Array, other: Array) -> Array:
     """
     sum_, even = mine + other, EVENLY[mine.dtype.name] ** 2
     share = (mine * sum_ + 0.5 * even) / (sum_ * sum_ + even)
-    return _inside(mine) * (1.0 - _inside(other) * (1.0 - share))
+    return inside(mine) * (1.0 - inside(other) * (1.0 - share))
