@@ -36,12 +36,14 @@ class Asked(NamedTuple):
     spec: Any  # Goal, Limit or Measured
 
 
-def values_of(asked: tuple[Asked, ...], scene: diffeed.Scene, run: Any) -> Array:
-    """(terms,) each the mean over its parts."""
-    found = [
-        jnp.mean(jnp.stack([jnp.asarray(a.term.value(scene, run, part, a.at)) for part in a.parts])) for a in asked
-    ]
-    return jnp.stack(found) if found else jnp.zeros((0,))
+def values_of(asked: tuple[Asked, ...], scene: diffeed.Scene, run: Any, found: bool = False) -> Array:
+    """(terms,) each the mean over its parts: what a search goes by, or what was really `found` (infinite for what never
+    happened)."""
+    values = []
+    for a in asked:
+        term = a.term.found if found and a.term.found else a.term.value
+        values.append(jnp.mean(jnp.stack([jnp.asarray(term(scene, run, part, a.at)) for part in a.parts])))
+    return jnp.stack(values) if values else jnp.zeros((0,))
 
 
 def violations(limits: tuple[Asked, ...], values: Array) -> Array:

@@ -22,6 +22,8 @@ class Term(NamedTuple):
     doc: str
     observe: tuple[str, ...] = ()
     at: bool = False
+    found: Callable[[diffeed.Scene, Any, str, str], Array] | None = None
+    """What really came out, where `value` stands in for it to search by: it may be infinite."""
 
 
 def _slip(scene: diffeed.Scene, run: Any, part: str, at: str) -> Array:
@@ -56,7 +58,9 @@ TERMS: dict[str, Term] = {
     "friction": Term(_nip("friction_rms"), "rollers", "N", "RMS friction on the sheet", ("nips",)),
     "torque": Term(_nip("torque_mean"), "rollers", "N mm", "mean torque of its contacts on it", ("nips",)),
     "torque_peak": Term(_nip("torque_peak"), "rollers", "N mm", "largest torque of its contacts on it", ("nips",)),
-    "arrival": Term(_arrival, "sheets", "s", "time at which the lead passes a sensor", ("arrivals", "feed"), True),
+    "arrival": Term(
+        _arrival, "sheets", "s", "time at which the lead passes a sensor", ("arrivals", "feed"), True, measures.arrival
+    ),
     "progress": Term(
         lambda scene, run, part, at: measures.progress(scene, run)[part], "sheets", "1", "fed over commanded", ("feed",)
     ),

@@ -233,3 +233,37 @@ def test_says_what_is_wrong(options, said):
     with pytest.raises(ValueError, match="must be") as error:
         diffeed.simulate(FEEDER, **({"frames": 5} | options))
     assert said in str(error.value)
+
+
+def _nip_driven_by(profile: diffeed.Profile, duration: float) -> diffeed.Scene:
+    sheet = diffeed.Sheet(length=60.0, thickness=0.2, width=30.0, density=1e-6, youngs_modulus=3000.0, bars=3,
+                          structural_damping=1e-4, lead=(20.0, 0.0))  # fmt: skip
+    drive = diffeed.FixedRoller(center=(0.0, -8.1), radius=8.0, friction=1.0, surface_speed=profile)
+    pinch = diffeed.MovableRoller(center=(0.0, 8.1), direction=(0.0, 1.0), radius=8.0, mass=0.01, preload=5.0, inertia=0.2,
+                                  friction=1.0, damper=0.005)  # fmt: skip
+    return diffeed.scene(sheets={"a": sheet}, rollers={"drive": drive, "pinch": pinch}, gravity=(0.0, 0.0), duration=duration,
+                         contacts={"default": diffeed.Contact(stick_speed=0.5)}, initial="settled")  # fmt: skip
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
+def test_a_short_pulse_of_a_drive_is_not_stepped_over(tolerance):
+    """0.6 ms at up to 1 m/s after 0.1 s at rest, where steps have grown to their longest: 1000 * 0.0006 / 2 = 0.3 mm."""
+    start, end = 0.1003, 0.1009
+    profile = diffeed.Profile(times=(0.0, start, 0.5 * (start + end), end), values=(0.0, 0.0, -1000.0, 0.0))
+    scene = _nip_driven_by(profile, 0.2)
+    run = diffeed.simulate(scene, frames=3, observe=("feed",), tolerance=tolerance, method="extrapolated_euler")
+    assert run.ok
+    assert float(run.observed["feed"]["a"].commanded) == pytest.approx(0.3, rel=1e-6)
+    assert -8.0 * float(run.rollers["drive"].angle[-1]) == pytest.approx(0.3, rel=1e-6)
+    assert float(run.sheets["a"].nodes[-1, 0, 0]) - 20.0 == pytest.approx(0.2428, abs=0.02)
+
+
+def test_what_is_fed_does_not_depend_on_how_long_the_steps_are():
+    """Run up to 400 mm/s in 50 ms, then 50 ms at that speed: 30 mm, in steps from 1 us to 2 ms."""
+    scene = _nip_driven_by(diffeed.Profile(times=(0.0, 0.05), values=(0.0, -400.0)), 0.1)
+    run = diffeed.simulate(scene, frames=3, observe=("feed", "nips"), tolerance=1e-2, method="extrapolated_euler")
+    feed = run.observed["feed"]["a"]
+    assert float(run.sheets["a"].nodes[-1, 0, 0]) - 20.0 == pytest.approx(30.0, abs=1e-3)
+    assert float(feed.fed) == pytest.approx(30.0, abs=1e-3)
+    assert float(feed.commanded) == pytest.approx(30.0, abs=1e-6)
+    assert float(run.observed["nips"]["drive"].contact_time) == pytest.approx(0.1, rel=1e-9)

@@ -8,7 +8,7 @@ from stand_in_nip import nip
 
 import diffeed
 from optimize.asked import StudyError
-from optimize.tolerance.draws import correlation, deviations, epsilons, uniforms
+from optimize.tolerance.draws import correlation, correlation_of_deviations, deviations, epsilons, uniforms
 from optimize.tolerance.media import MOVING, find
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import at_axes, make_tolerance, packed, unpacked
@@ -82,6 +82,21 @@ def test_like_parts_are_independent_unless_tied():
     assert abs(np.corrcoef(drawn(apart, 4096).T)[0, 1]) < 0.05
     tied = problem(tolerances={"radius": both | {"tied": True}})
     assert [i.name for i in tied.inputs] == ["radius"]
+
+
+def test_deviations_that_are_not_normal_go_together_less(tmp_path):
+    """Under a Gaussian copula of rho two signs correlate by 2/pi asin rho, two uniform numbers by 6/pi asin rho/2."""
+    (tmp_path / "signs.csv").write_text("v\n" + "-1\n1\n" * 50)
+    pair = {"path": ["rollers.drive.friction", "rollers.pinch.friction"], "group": "g", "correlation": 0.6}
+    signs = pair | {"kind": "data", "file": "signs.csv", "column": "v"}
+    for spec, expected in (
+        (signs, 2 / np.pi * np.arcsin(0.6)),
+        (pair | {"kind": "uniform", "tolerance": 0.1}, 6 / np.pi * np.arcsin(0.3)),
+    ):
+        study = make_tolerance(BASE | {"tolerances": {"rubber": spec, "preload": PINCH}}, folder=tmp_path, scene=nip())
+        found = correlation_of_deviations(study.inputs)
+        assert found == pytest.approx(np.array([[1.0, expected, 0.0], [expected, 1.0, 0.0], [0.0, 0.0, 1.0]]), abs=0.01)
+        assert correlation(study.inputs)[0, 1] == pytest.approx(0.6)
 
 
 def test_numbers_of_one_part_have_names_of_their_own():

@@ -246,7 +246,8 @@ def _took(run: dict[str, Any]) -> str:
         f"{run['scene']}: {run['simulated']:.4g} s in {run['steps']} steps of {run['dt']:.4g} s "
         f"({run['method']}, {run['precision']}); took {run['compile_seconds']:.1f} s to prepare and compile, "
         f"{run['run_seconds']:.1f} s to run.\n"
-        f"{_steps(run)} an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles or bounces"
+        f"{_steps(run)} an error of about {_text(run['error'])} mm in the sheet's place, more where it buckles, bounces "
+        "or leaves a nip"
     )
 
 

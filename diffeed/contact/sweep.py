@@ -36,7 +36,7 @@ class Pairs(NamedTuple):
     u_n: Array  # mm/s of the body's surface
     u_t: Array
     weight: Array
-    corner: Array  # bool: at an end circle of a bar, or at a point of the sheet that guides feel; else on a bar's face or the curve
+    corner: Array  # bool: at an end circle of a bar, or a point that guides feel; else on a bar's face or the curve
     turning: Array  # geometric stiffness of the skin's rotation, kg mm2/s2
 
 

@@ -8,7 +8,17 @@ import numpy as np
 from diffeed.input.check_records import check_records
 from diffeed.input.check_rules import Rule
 from diffeed.input.check_values import sound
-from diffeed.input.parts import ArcGuide, Contact, FixedRoller, MovableRoller, Profile, Scene, Sheet
+from diffeed.input.parts import (
+    ArcGuide,
+    CircleGuide,
+    Contact,
+    FixedRoller,
+    LineGuide,
+    MovableRoller,
+    Profile,
+    Scene,
+    Sheet,
+)
 
 STIFFEST, LIMPEST = 5e5, 5.0
 """N/mm2: harder than any steel, and softer than rubber."""
@@ -16,14 +26,22 @@ LIGHTEST, HEAVIEST = 5e-9, 3e-5
 """kg/mm3: a hundredth of paper, and more than any metal."""
 THINNEST, THICKEST = 2e-3, 10.0
 """mm."""
+BLADE = 0.5
+"""Of a guide's length: two that look away from each other along so much of it are a blade."""
 SLOWEST = 5.0
 """mm/s: a drive that never turns faster than this."""
 GRAVITY = (9.0, 10.5)
 """m/s2, given as mm/s2."""
 NIP = 3.0
 """mm between two rollers that may be meant as a nip."""
+TURNED = 1.6
+"""Degrees: a movement that turns a part by less may be meant in radians."""
 STUB = 3.0
 """mm of an arc: hardly a guide."""
+CURLED = 3.0
+"""mm: a smaller radius of curl is hardly meant."""
+BESIDE = 0.3
+"""Cosine between the travel of a pinch and the way to its partner: less hardly presses."""
 BULKY, ROUGH, STUBBORN = 5.0, 3.0, 1e5
 """kg of a roller, its friction, N/mm of a contact: more is hardly meant."""
 LATER = 10.0
@@ -82,12 +100,26 @@ def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
         yield f"{path}.density is {density:g} kg/mm3: in other units? Paper has 8e-7 kg/mm3 (800 kg/m3)"
     if thickness and not THINNEST < thickness < THICKEST:
         yield f"{path}.thickness is {thickness:g} mm: in other units? Copy paper has 0.1 mm"
+    curl = _number(sheet, "curl")
+    if curl and abs(curl) * CURLED > 1.0:
+        yield f"{path}.curl is {curl:g} 1/mm, a radius of {1.0 / abs(curl):.2g} mm: is it the radius? A curl of 50 mm is 0.02"
 
 
 def _arc(path: str, guide: ArcGuide, _: Scene) -> Iterator[str]:
     sweep, radius = _number(guide, "sweep"), _number(guide, "radius")
     if sweep and radius and abs(sweep) <= 2.0 * np.pi and radius * np.deg2rad(abs(sweep)) < STUB:
         yield f"{path}.sweep is {sweep:g} degrees: in radians? A quarter turn is 90"
+
+
+def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
+    motion = getattr(part, "motion", None)
+    if motion is None:
+        return
+    times, turn = sound(motion, "times"), sound(motion, "rotation")
+    if times is not None and float(times[-1]) > LATER * scene.duration:
+        yield f"{path}.motion.times end at {float(times[-1]):g} s, but the run at {scene.duration:g} s: in ms?"
+    if turn is not None and 0.0 < float(np.max(np.abs(turn))) < TURNED:
+        yield f"{path}.motion.rotation is {float(np.max(np.abs(turn))):g} degrees at most: in radians? A quarter turn is 90"
 
 
 def _fastest(roller: Any) -> float | None:
@@ -134,17 +166,51 @@ def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
         if other is roller or place is None or size is None:
             continue
         towards = np.asarray(place) - center
-        if np.hypot(*towards) - radius - size < NIP and way @ towards > 0.5 * np.hypot(*way) * np.hypot(*towards):
+        if np.hypot(*towards) - radius - size >= NIP:
+            continue
+        share = way @ towards / (np.hypot(*way) * np.hypot(*towards))
+        if abs(share) < BESIDE:
+            yield f"{path}.direction runs beside rollers.{name}, not towards or away from it: its preload does not close the nip"
+        if share > 0.5:
             yield (
                 f"{path}.direction points at rollers.{name}, so that its preload opens the nip: the spring pushes against"
                 " `direction`"
             )
 
 
+def _back_to_back(path: str, guide: LineGuide, scene: Scene) -> Iterator[str]:
+    """A blade made of two faces: each feels a sheet behind it up to its depth, so that one may catch what lies on the other."""
+    start, end, depth = (sound(guide, f) for f in ("start", "end", "depth"))
+    if start is None or end is None or depth is None or not np.any(way := np.asarray(end) - start):
+        return
+    way = way / np.hypot(*way)
+    for name, other in sorted(scene.guides.items()):
+        a, b = (sound(other, f) if isinstance(other, LineGuide) else None for f in ("start", "end"))
+        if a is None or b is None or other is guide:
+            continue
+        along, behind = zip(
+            *((way @ (p - start), way[1] * (p - start)[0] - way[0] * (p - start)[1]) for p in (a, b)), strict=True
+        )
+        side_by_side = min(max(along), np.hypot(*(np.asarray(end) - start))) - max(min(along), 0.0)
+        turned = along[0] > along[1]
+        if (
+            turned
+            and side_by_side > BLADE * abs(along[0] - along[1])
+            and min(behind) >= 0.0
+            and max(behind) < float(depth)
+        ):
+            yield (
+                f"{path} and guides.{name} are back to back, {min(behind):.3g} mm apart, which is less than {path}.depth, "
+                f"{float(depth):g} mm: it catches a sheet that lies on the other; give both a depth of less than half of that"
+            )
+
+
 _RULES: dict[type, tuple[Rule, ...]] = {
     Sheet: (_sheet,),
-    ArcGuide: (_arc,),
+    ArcGuide: (_arc, _moved),
+    LineGuide: (_moved, _back_to_back),
+    CircleGuide: (_moved,),
     Contact: (_contact,),
-    FixedRoller: (_drive,),
+    FixedRoller: (_drive, _moved),
     MovableRoller: (_drive, _mass, _pinch),
 }

@@ -26,9 +26,8 @@ class Near(NamedTuple):
     nx: Array
     ny: Array
     weight: Array  # 0..1: share of the contact that this pair carries
-    in_front: Array | bool = (
-        True  # the gap is to where the sheet is held off; else it is behind a guide, which lets go there
-    )
+    # Bool: the gap is to where the sheet is held off; else it is behind a guide, which lets go there. None: not asked.
+    in_front: Array | None = None
 
 
 def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> Near:

@@ -54,6 +54,7 @@ class Confirmation(NamedTuple):
     until: float  # s, up to which the runs were compared: when the fate of the last sheet was decided, or the end
     holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
+    later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
 
     def sentence(self) -> str:
         """What it came to, in words."""
@@ -67,7 +68,10 @@ class Confirmation(NamedTuple):
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s), of {self.way:.3g} mm moved"
         up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
-            return f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
+            told = f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
+            if self.later > max(2.0 * self.apart, SHARE * self.way):
+                told += f" Not so what came after that: it comes up to {self.later:.3g} mm elsewhere."
+            return told
         away = f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where}, and the "
         if self.after == self.before:
             return f"{away}verdict is the same. Believe no more than the verdict: {SHORTER}."
@@ -89,20 +93,23 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
         raise ValueError(f"the runs must have the same frames, but have {' and '.join(ends)}")
     (first, fates), (second, finer_fates) = (judged(scene, r) for r in (run, again))
     before, after = first.status, second.status
-    apart, way, sheet, frame, until = 0.0, 0.0, min(run.sheets), 0, 0
+    apart, way, sheet, frame, until, later = 0.0, 0.0, min(run.sheets), 0, 0, 0.0
     for name, track in run.sheets.items():
         fate = max(fates[name], finer_fates[name]) if before == after else np.inf
         last = min(int(np.searchsorted(times, fate)) + 1, count)  # the first frame after it as well
-        mine, other = (np.asarray(t.nodes)[:last] for t in (track, again.sheets[name]))
-        gaps = np.linalg.norm(mine - other, axis=-1).max(axis=1)
-        steps = np.linalg.norm(np.diff(other, axis=0), axis=-1)
+        mine, other = (np.asarray(t.nodes)[:count] for t in (track, again.sheets[name]))
+        every = np.linalg.norm(mine - other, axis=-1).max(axis=1)
+        gaps, later = every[:last], max(later, float(every[last:].max(initial=0.0)))
+        steps = np.linalg.norm(np.diff(other[:last], axis=0), axis=-1)
         way, until = max(way, float(steps.sum(axis=0).max(initial=0.0))), max(until, last - 1)
         if not gaps.max() <= apart:  # what is not a number is further than any
             apart, sheet, frame = float(gaps.max()), name, int(gaps.argmax())
     near = apart <= max(min(TOLD * float(run.error), WIDEST * way), SHARE * way)
     holds = bool(near and before == after != "failed")
     unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
-    return Confirmation(apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds, unsure)
+    return Confirmation(
+        apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds, unsure, later
+    )
 
 
 def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:

@@ -12,7 +12,7 @@ from diffeed.forces.energy import Energies, energies
 from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene
 from diffeed.model.build import build
-from diffeed.readings.observe import commanded_speed
+from diffeed.readings.observe import commanded_speed, surface_speeds
 from diffeed.readings.snapshot import gaps_of_pairs, look
 
 
@@ -22,6 +22,7 @@ class Feeding(NamedTuple):
     speed: Array  # mm/s, of each along itself
     wanted: Array  # mm/s, what the driven rollers that touch it command
     held: Array  # bool: some driven roller touches it
+    surface: Array  # (frames, sheets, rollers) mm/s along the sheet, of each driven roller that touches it, else 0
 
 
 class Motion(NamedTuple):
@@ -40,7 +41,8 @@ def motion(scene: Scene, states: State) -> Motion:
         at, _, touching = look(model, state)
         speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
         wanted, press = commanded_speed(model, touching, keep_all(model))
-        return Motion(energies(model, state, touching, keep_all(model)), Feeding(speed, wanted, press > 0))
+        fed = Feeding(speed, wanted, press > 0, surface_speeds(model, touching, keep_all(model)))
+        return Motion(energies(model, state, touching, keep_all(model)), fed)
 
     return jax.lax.map(at_frame, states)
 

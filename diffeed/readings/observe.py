@@ -3,6 +3,7 @@
 An observer starts, looks at each step, and closes. To add one: write the three functions and name it in `OBSERVERS`.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -23,7 +24,15 @@ from diffeed.forces.energy import Powers, energies, powers
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings import spans
-from diffeed.readings.snapshot import gaps_to_bodies, gaps_to_guides, guide_names, look, on_rollers, roller_order
+from diffeed.readings.snapshot import (
+    Pressed,
+    gaps_to_bodies,
+    gaps_to_guides,
+    guide_names,
+    look,
+    on_rollers,
+    roller_order,
+)
 from diffeed.readings.trajectory import Parts
 
 
@@ -37,8 +46,19 @@ class Seen(NamedTuple):
     kept: Kept  # the pairs that were looked at: all, or those that may touch
 
 
+class End:
+    """Where a run ended. Its contacts, of all pairs, are looked at once for all observers that ask."""
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+
+    @functools.cached_property
+    def touching(self) -> Contacts:
+        return look(self.model, self.state)[2]
+
+
 class Observer(NamedTuple):
-    """start(model, scene, state); update(model, scene, sums, seen); close(model, scene, sums, state).
+    """start(model, scene, state); update(model, scene, sums, seen); close(model, scene, sums, end).
 
     `far`: whether it needs to see all pairs, or those alone that may touch.
     """
@@ -54,8 +74,9 @@ class Observer(NamedTuple):
 
 @record
 class NipSums:
-    """Running sums per roller, (rollers,) in sorted order."""
+    """Running sums per roller, (rollers,) in sorted order: integrals by the trapezoidal rule."""
 
+    half: Any  # s, () half of the last step: it belongs to the next look
     time: Any
     slip: Any
     slip2: Any
@@ -100,13 +121,19 @@ def nip_unit(field: str) -> str:
 
 def _nips_start(model: Model, scene: Scene, state: State) -> NipSums:
     zero = jnp.zeros((model.rollers.n,))
-    return NipSums(**{name: zero for name in NipSums.__dataclass_fields__})  # type: ignore[attr-defined]
+    sums = {name: zero for name in NipSums.__dataclass_fields__}  # type: ignore[attr-defined]
+    return NipSums(**sums | {"half": jnp.zeros(())})
 
 
 def _nips_update(model: Model, scene: Scene, sums: NipSums, seen: Seen) -> NipSums:
-    now = on_rollers(model, seen.touching, seen.kept)
-    h = jnp.where(now.force > 0, seen.h, 0.0)
+    half = 0.5 * seen.h
+    return replace(_nips_add(sums, on_rollers(model, seen.touching, seen.kept), sums.half + half), half=half)
+
+
+def _nips_add(sums: NipSums, now: Pressed, time: Array) -> NipSums:
+    h = jnp.where(now.force > 0, time, 0.0)
     return NipSums(
+        half=sums.half,
         time=sums.time + h,
         slip=sums.slip + h * now.slip,
         slip2=sums.slip2 + h * now.slip**2,
@@ -124,7 +151,8 @@ def _root(x: Array) -> Array:
     return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
 
 
-def _nips_close(model: Model, scene: Scene, sums: NipSums, state: State) -> Parts[NipStats]:
+def _nips_close(model: Model, scene: Scene, sums: NipSums, end: End) -> Parts[NipStats]:
+    sums = _nips_add(sums, on_rollers(model, end.touching, keep_all(model)), sums.half)
     t = sums.time
     block = NipStats(
         contact_time=t,
@@ -190,8 +218,8 @@ def _arrivals_update(model: Model, scene: Scene, past: Arrivals, seen: Seen) -> 
     return _arrivals_look(scene, past, _ends(model, seen.touching.at), seen.before.time)
 
 
-def _arrivals_close(model: Model, scene: Scene, past: Arrivals, state: State) -> dict[str, dict[str, dict[str, Array]]]:
-    done = _arrivals_look(scene, past, _ends(model, pose(model, state)), state.time)
+def _arrivals_close(model: Model, scene: Scene, past: Arrivals, end: End) -> dict[str, dict[str, dict[str, Array]]]:
+    done = _arrivals_look(scene, past, _ends(model, pose(model, end.state)), end.state.time)
     return {
         sheet: {
             name: {"lead": done.lead[i, j], "tail": done.tail[i, j]} for j, name in enumerate(sorted(scene.sensors))
@@ -233,10 +261,9 @@ def _energy_update(model: Model, scene: Scene, sums: EnergySums, seen: Seen) -> 
     return _energy_add(sums, seen.before, powers(model, seen.before, seen.touching, seen.kept))
 
 
-def _energy_close(model: Model, scene: Scene, sums: EnergySums, state: State) -> dict[str, Array]:
-    touching = look(model, state)[2]
-    done = _energy_add(sums, state, powers(model, state, touching, keep_all(model)))
-    return done.work._asdict() | {"stored": _stored(model, state, touching) - sums.begun}
+def _energy_close(model: Model, scene: Scene, sums: EnergySums, end: End) -> dict[str, Array]:
+    done = _energy_add(sums, end.state, powers(model, end.state, end.touching, keep_all(model)))
+    return done.work._asdict() | {"stored": _stored(model, end.state, end.touching) - sums.begun}
 
 
 # --- gaps, curvature, feed ----------------------------------------------------------------------------------------------
@@ -265,8 +292,8 @@ def _gaps_update(model: Model, scene: Scene, least: tuple[Array, Array], seen: S
     return jnp.minimum(least[0], rollers), jnp.minimum(least[1], guides)
 
 
-def _gaps_close(model: Model, scene: Scene, least: tuple[Array, Array], state: State) -> dict[str, Parts[Gaps]]:
-    now = _gaps_now(model, look(model, state)[2])
+def _gaps_close(model: Model, scene: Scene, least: tuple[Array, Array], end: End) -> dict[str, Parts[Gaps]]:
+    now = _gaps_now(model, end.touching)
     rollers, guides = (jnp.minimum(a, b) for a, b in zip(least, now, strict=True))
     return {
         "rollers": Parts(block=Gaps(gap=rollers), names=tuple(sorted(model.rollers.names))),
@@ -293,7 +320,7 @@ def _curvature_update(model: Model, scene: Scene, most: Array, seen: Seen) -> Ar
     return jnp.maximum(most, _curvature_now(model, seen.after))
 
 
-def _curvature_close(model: Model, scene: Scene, most: Array, state: State) -> dict[str, Array]:
+def _curvature_close(model: Model, scene: Scene, most: Array, end: End) -> dict[str, Array]:
     return {name: most[k] for k, name in enumerate(model.layout.names)}
 
 
@@ -306,6 +333,14 @@ class Feed:
     commanded: Any = number(unit="mm", doc="distance that the driven rollers in contact have turned")
     longest_stall: Any = number(unit="s", doc="longest time at less than a tenth of the commanded speed")
     stall: Any = number(unit="s", doc="time of the present stall")
+
+
+@record
+class FeedSums:
+    """The same so far, integrals by the trapezoidal rule, and half of the last step, s: it belongs to the next look."""
+
+    feed: Feed
+    half: Any
 
 
 def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
@@ -328,15 +363,35 @@ def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array
     return divide(pull, force), force
 
 
-def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
+def surface_speeds(model: Model, touching: Contacts, kept: Kept) -> Array:
+    """(sheets, rollers) mm/s: surface speed along the heading of each driven roller that touches a sheet, else 0; of contacts
+    that hold every body."""
+    n = model.rollers.n
+    if touching.sheets is None or n == 0:
+        return jnp.zeros((len(model.layout.names), n))
+    pairs: Any = jax.tree.map(lambda v: v[:n], touching.sheets)
+    c, s = heading(model, touching.at, pairs, None)
+    force = pairs.touch.force * np.asarray(model.rollers.driven, float)[:, None]
+    speed = (pairs.nx * s - pairs.ny * c) * (touching.spin * model.rollers.radius)[:, None]
+    own = jnp.asarray(model.layout.sheet_of_feature, force.dtype)
+    return divide((force * speed) @ own, force @ own).T
+
+
+def _feed_start(model: Model, scene: Scene, state: State) -> FeedSums:
     zero = jnp.zeros((len(model.layout.names),))
-    return Feed(fed=zero, driven=zero, commanded=zero, longest_stall=zero, stall=zero)
+    nothing = Feed(fed=zero, driven=zero, commanded=zero, longest_stall=zero, stall=zero)
+    return FeedSums(feed=nothing, half=jnp.zeros(()))
 
 
-def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
-    at, h = seen.touching.at, seen.h
+def _feed_update(model: Model, scene: Scene, sums: FeedSums, seen: Seen) -> FeedSums:
+    half = 0.5 * seen.h
+    return FeedSums(feed=_feed_add(model, sums.feed, seen.touching, seen.kept, sums.half + half), half=half)
+
+
+def _feed_add(model: Model, feed: Feed, touching: Contacts, kept: Kept, h: Array) -> Feed:
+    at = touching.at
     speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-    wanted, _ = commanded_speed(model, seen.touching, seen.kept)
+    wanted, _ = commanded_speed(model, touching, kept)
     stalled = (jnp.abs(wanted) > 0) & (speed * jnp.sign(wanted) < 0.1 * jnp.abs(wanted))
     stall = jnp.where(stalled, feed.stall + h, 0.0)
     return Feed(
@@ -348,7 +403,8 @@ def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
     )
 
 
-def _feed_close(model: Model, scene: Scene, feed: Feed, state: State) -> dict[str, Feed]:
+def _feed_close(model: Model, scene: Scene, sums: FeedSums, end: End) -> dict[str, Feed]:
+    feed = _feed_add(model, sums.feed, end.touching, keep_all(model), sums.half)
     names = Feed.__dataclass_fields__  # type: ignore[attr-defined]
     return {
         sheet: replace(feed, **{name: getattr(feed, name)[k] for name in names})

@@ -92,7 +92,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, presse
     return neighbours, mean, divide(-mean, euler)
 
 
-def close(model: Model, scene: Scene, sums: SpanSums, state: State) -> dict[str, SpanStats]:
+def close(model: Model, scene: Scene, sums: SpanSums, end: Any) -> dict[str, SpanStats]:
     held = sums.held
     peak = [_root(divide(v, held)) for v in (sums.tight, sums.buckling)]
     every = SpanStats(held=held, tension=divide(sums.tension, held), tension_peak=peak[0], buckling=peak[1])

@@ -22,6 +22,8 @@ STALLED = 0.1
 """Share of the commanded speed below which a sheet stands still."""
 BACK = 0.1
 """Of a sheet's length: driven backwards by more is told."""
+AT_ODDS = 0.1
+"""Of the faster one's speed, and of the frames in which a sheet is driven: rollers that drive it either way are told."""
 STRAYED = 50.0
 """mm outside the box around all parts that counts as having left the path."""
 
@@ -115,8 +117,8 @@ def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
     status = STATUSES[int(found.status)]
     if reason == LATE:
         text += _still_to_go(scene, trajectory, name)
-    if status != "passed" and (back := _driven_back(scene, trajectory, name)):
-        text += f", driven backwards by {back:.3g} mm (the angles and speeds of rollers are positive counter-clockwise)"
+    if status != "passed":
+        text += _wrong_way(scene, trajectory, name)
     place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
     return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
 
@@ -126,6 +128,40 @@ def _still_to_go(scene: Scene, trajectory: Trajectory, name: str) -> str:
     way = np.asarray(trajectory.sheets[name].nodes)[-1, -1] - np.asarray(scene.sensors[scene.goal].position)
     speed = float(motion(scene, trajectory.states).fed.speed[-1, sorted(scene.sheets).index(name)])
     return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {speed:.3g} mm/s"
+
+
+def _wrong_way(scene: Scene, trajectory: Trajectory, name: str) -> str:
+    """What of the directions that a user gives may be why a sheet did not pass, in words."""
+    told, turns = "", "the angles and speeds of rollers are positive counter-clockwise"
+    if back := _driven_back(scene, trajectory, name):
+        told = f", driven backwards by {back:.3g} mm ({turns})"
+    elif pair := _against_each_other(scene, trajectory, name):
+        told = f"; {pair[0]} drives it forwards and {pair[1]} backwards at the same time ({turns})"
+    if scene.goal and _crossed(scene, trajectory, name, -1.0):
+        told += f"; its tail passed sensor {scene.goal} against the sensor's direction"
+    return told
+
+
+def _against_each_other(scene: Scene, trajectory: Trajectory, name: str) -> tuple[str, str] | None:
+    """Two driven rollers that pull a sheet either way at once, in a good part of the frames in which any drives it."""
+    speed = np.asarray(motion(scene, trajectory.states).fed.surface)[:, sorted(scene.sheets).index(name)]
+    if not speed.shape[1]:
+        return None
+    least, most = speed.min(axis=1), speed.max(axis=1)
+    at_odds = (least < 0) & (most > 0) & (np.minimum(-least, most) > AT_ODDS * np.maximum(-least, most))
+    if at_odds.sum() <= AT_ODDS * np.any(speed != 0, axis=1).sum():
+        return None
+    names, mean = jax.eval_shape(build, scene).rollers.names, speed[at_odds].mean(axis=0)
+    return names[int(mean.argmax())], names[int(mean.argmin())]
+
+
+def _crossed(scene: Scene, trajectory: Trajectory, name: str, way: float) -> bool:
+    """Whether the tail is seen to cross the goal's gate, along its direction (+1) or against it (-1)."""
+    sensor = scene.sensors[scene.goal]
+    along = way * np.asarray(sensor.direction) / np.hypot(*np.asarray(sensor.direction))
+    offset = np.asarray(trajectory.sheets[name].nodes)[:, -1] - np.asarray(sensor.position)
+    ahead, beside = offset @ along, np.abs(offset @ np.array([-along[1], along[0]]))
+    return bool(np.any((ahead[:-1] < 0) & (ahead[1:] >= 0) & (beside[1:] < float(sensor.range))))
 
 
 def _driven_back(scene: Scene, trajectory: Trajectory, name: str) -> float:

@@ -2,8 +2,9 @@
 
 Each attempt goes the same way in one step and in two halves (`steppers/extrapolated_euler.py`); their difference is the
 error of the whole step. Too large: the state stands and the next attempt is shorter. Step lengths are found in a loop that
-ends when the run does; a derivative is then taken through the accepted steps, in a scan of static length in which the
-rest is skipped. The lengths themselves are held fixed: the derivative is that of the steps taken, as with a given step.
+ends when the run does; no step goes past a time at which a drive, guide or clamp changes how it moves, for what happens
+within a step both ways may miss. A derivative is then taken through the accepted steps, in a scan of static length in which
+the rest is skipped. The lengths themselves are held fixed: the derivative is that of the steps taken, as with a given step.
 """
 
 import functools
@@ -173,7 +174,7 @@ def _attempts(
     until: Array,
 ) -> _Block:
     """Attempts until the block's time is over or its steps are used up."""
-    chosen = ESTIMATING[control.method].chosen
+    chosen, corners = ESTIMATING[control.method].chosen, _corners(model)
     most = jnp.minimum(BLOCK, control.most_steps - carry.schedule.taken)
 
     def going(block: _Block) -> Array:
@@ -183,12 +184,15 @@ def _attempts(
     def attempt(block: _Block) -> _Block:
         before = block.progress
         time = before.state.time
-        left = until - time
+        stop = jnp.minimum(
+            until, jnp.min(jnp.where(corners > time + _smallest(time), corners, jnp.inf), initial=jnp.inf)
+        )
+        left = stop - time
         # Two equal steps rather than a long one and a stub.
         h = jnp.where(block.h >= left, left, jnp.minimum(block.h, 0.5 * left))
         ways = both_ways(model, before.state, h, candidates.kept)
         error = _error(model, ways)
-        after = replace(chosen(ways), time=jnp.where(h >= left, until, time + h))
+        after = replace(chosen(ways), time=jnp.where(h >= left, stop, time + h))
         then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe)
         # A step that fails is tried again shorter, as long as that is possible.
         good = (error <= limits.tolerance) & (then.cause == 0)
@@ -201,6 +205,13 @@ def _attempts(
 
     none = jnp.zeros((BLOCK,), carry.h.dtype)
     return lax.while_loop(going, attempt, _Block(carry.progress, carry.h, jnp.zeros((), jnp.int32), none))
+
+
+def _corners(model: Model) -> Array:
+    """(times,) s, at which something prescribed changes how it moves."""
+    paths = [*model.paths.values(), *(hold.path for hold in model.holds if hold.path is not None)]
+    times = [drives.times.ravel() for drives in model.rollers.drives if drives.times.shape[1] > 1]
+    return jnp.concatenate([jnp.zeros((0,)), *times, *(path.times for path in paths)])
 
 
 def _next(h: Array, planned: Array, error: Array, good: Array, tolerance: Array) -> Array:

@@ -69,8 +69,9 @@ def check(
     if scene.initial == "settled" and not problems:
         if not found:
             problems.append(
-                "no rest state was found from which to start: look for a sheet or a pinch that nothing stops, and for a mass,"
-                ' stiffness or size in the wrong unit; initial = "given" starts as written'
+                "no rest state was found from which to start: look for a sheet or a pinch that nothing stops, for clamps that"
+                " hold one thing twice, and for a mass, stiffness, curl or size in the wrong unit;"
+                ' initial = "given" starts as written'
             )
         problems += _speeds(scene)
         problems += _deep(model, now, "rests", allowed=0.5 * np.asarray(allowed_depths(model))) if found else []

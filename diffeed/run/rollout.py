@@ -22,7 +22,7 @@ from diffeed.input.packing import bare, jit_of_scene
 from diffeed.input.parts import Scene, normalise, warn_if_single
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
-from diffeed.readings.observe import OBSERVERS
+from diffeed.readings.observe import OBSERVERS, End
 from diffeed.readings.snapshot import felt_by_bodies, gaps_to_bodies, look, part_names, snapshot
 from diffeed.readings.trajectory import Failure, Resume, Trajectory
 from diffeed.run import error_control
@@ -219,6 +219,7 @@ def _trajectory(
 ) -> Trajectory:
     """Look at the frames."""
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
+    end = End(model, last.state)
     part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
@@ -235,7 +236,7 @@ def _trajectory(
             part=jnp.where(last.cause > NO_REST, part, -1),
             parts=part_names(model),
         ),
-        observed={name: OBSERVERS[name].close(model, scene, last.open[name], last.state) for name in observe},
+        observed={name: OBSERVERS[name].close(model, scene, last.open[name], end) for name in observe},
         final=last,
         states=states,
     )

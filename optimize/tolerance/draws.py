@@ -25,6 +25,8 @@ from optimize.tolerance.records import Tolerance
 MAX_BYTES = 100_000_000
 """Of a table of measured values."""
 MOST_INPUTS = 2_000
+COUNTED = 2**13
+"""Draws by which the correlation of deviations that are not normal is found."""
 EDGE = 1e-12
 """Uniform numbers are kept this far from 0 and 1, whose normal deviates are infinite."""
 
@@ -257,6 +259,20 @@ def correlation(inputs: tuple[Input, ...]) -> np.ndarray:
     found = np.where(together, np.outer(loads, loads), 0.0)
     np.fill_diagonal(found, 1.0)
     return found
+
+
+def correlation_of_deviations(inputs: tuple[Input, ...]) -> np.ndarray:
+    """(inputs, inputs) of the deviations themselves: less than that of the normal numbers behind them, unless they are normal;
+    those of other kinds are counted among `COUNTED` draws."""
+    hidden = correlation(inputs)
+    if all(i.of.kind == "normal" for i in inputs if i.of.group):
+        return hidden
+    drawn = deviations(inputs, uniforms(inputs, "sobol", COUNTED, 0))
+    with np.errstate(invalid="ignore"):  # what does not scatter goes along with nothing
+        counted = np.nan_to_num(np.corrcoef(drawn.T))
+    normal = np.array([i.of.kind == "normal" for i in inputs])
+    known = (normal[:, None] & normal[None, :]) | (hidden == 0.0) | np.eye(len(inputs), dtype=bool)
+    return np.where(known, hidden, counted)
 
 
 def normals(inputs: tuple[Input, ...], u: np.ndarray) -> np.ndarray:

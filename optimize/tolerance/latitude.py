@@ -57,7 +57,7 @@ def _outcome_at(problem: ToleranceProblem, asked: Latitude) -> Callable[[Array, 
         moved = at_axes(problem, scene, asked, point)
         run = run_of(problem, moved, rest, ("feed", "spans"))
         margin = jnp.where(run.ok, measures.jam_margin(moved, run), jnp.nan)
-        broken = broken_limits(problem.limits, values_of(problem.limits, moved, run))
+        broken = broken_limits(problem.limits, values_of(problem.limits, moved, run, found=True))
         return margin, (measures.outcome(moved, run).status == 0) & ~jnp.any(broken)
 
     return outcome

@@ -26,7 +26,7 @@ def sample_scene(problem: ToleranceProblem, sample: int) -> diffeed.Scene:
 def judged(problem: ToleranceProblem, scene: diffeed.Scene, run: diffeed.Trajectory) -> str:
     """The verdict of a run, and the limits that it breaks; those of a run that failed mean nothing."""
     verdict = measures.verdict(scene, run).sentence()
-    values = values_of(problem.limits, scene, run)
+    values = values_of(problem.limits, scene, run, found=True)
     broken = broken_limits(problem.limits, values)
     named = [
         f"{a.name} {limit_words(a)} (it is {value:.4g}{'' if a.term.unit == '1' else f' {a.term.unit}'})"

@@ -56,6 +56,9 @@ def print_summary(console: "Console", summary: dict[str, Any], before: dict[str,
                 name, m["unit"], _text(m["mean"]), _text(m["std"]), *shares, _text(m.get("cp")), _text(m.get("cpk"))
             )
     console.print(table)
+    for name, m in summary["measures"].items():
+        if m.get("never"):
+            console.print(f"{name}: never in {m['never']} of {m['runs']} samples; mean and std are of the others")
     for name, blame in summary["contributions"].items():
         _print_blame(console, name, blame, list(summary["inputs"]))
     _print_tighten(console, summary["tighten"])

@@ -50,7 +50,7 @@ def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[Array, 
     scene = sampled(problem.inputs, problem.scene, deviation)
     run = run_of(problem, scene, rest)
     found = measures.outcome(scene, run)
-    values = values_of(problem.asked, scene, run)
+    values = values_of(problem.asked, scene, run, found=True)
     return (
         found.status,
         found.reason,

@@ -9,7 +9,7 @@ from diffeed.base.files import plain
 from optimize.asked import Asked
 from optimize.tolerance.confirmation import Confirmation
 from optimize.tolerance.contributions import Slopes
-from optimize.tolerance.draws import correlation, epsilons, normals, uniforms
+from optimize.tolerance.draws import correlation, correlation_of_deviations, epsilons, normals, uniforms
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows
 from optimize.tolerance.statistics import (
@@ -101,6 +101,7 @@ def _measure(problem: ToleranceProblem, rows: Rows, k: int, asked: Asked) -> dic
     found = {
         "unit": asked.term.unit,
         "runs": len(values),
+        "never": int(len(values) - len(finite)),
         "mean": float(np.mean(finite)) if len(finite) else None,
         "std": float(np.std(finite, ddof=1)) if len(finite) > 1 else None,
         "percentiles": {f"{100 * p:g}": percentile(values, p)._asdict() for p in (0.01, 0.5, 0.99)},
@@ -114,7 +115,7 @@ def _blame(
 ) -> dict[str, Any]:
     """Shares of the variance of a measure, (inputs,) each, and how much of it a straight line explains."""
     fine = np.isfinite(rows.values[:, k])
-    linked = correlation(problem.inputs)
+    linked = correlation_of_deviations(problem.inputs)
     straight = regression_shares(rows.deviation[fine], rows.values[fine, k], linked)
     sigma = np.array([i.sigma for i in problem.inputs])
     found: dict[str, Any] = {
