@@ -77,7 +77,10 @@ def blame_map(
         if i < 4:
             ax.annotate(f"{gain:.2g}", xy=tuple(tip), xytext=(3, 3), textcoords="offset points", zorder=10,
                         fontsize=plot_style.SMALL, color=plot_style.COLORS[1])  # fmt: skip
-    _title(ax, "Which way to move what: gain in the objective per 0.1 mm")
+    title = "Which way to move what: gain in the objective per 0.1 mm"
+    if rows[0][2] > worth > 0.0:
+        title += f"\n(more than the whole objective, {worth:.3g}: directions at most, no amounts)"
+    _title(ax, title)
     return ax
 
 

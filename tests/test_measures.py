@@ -255,6 +255,29 @@ def test_verdicts(case):
     assert fragment in verdict.sentence()
 
 
+def test_two_drives_against_each_other_are_told():
+    """The second turns the other way: the sheet stalls between them, or is torn about."""
+    first = nip().rollers
+    second = {"behind": replace(first["drive"], center=(-15.0, -4.1), radius=4.0, angular_speed=10.0)}
+    second |= {"above": replace(first["pinch"], center=(-15.0, 4.1), radius=4.0)}
+    scene = nip(rollers=first | second)
+    run = diffeed.simulate(scene, dt=2e-4, frames=51)
+    said = measures.verdict(scene, run).reason
+    assert "; drive drives it forwards and behind backwards at the same time" in said
+    alike = nip(
+        rollers=first | second | {"behind": replace(second["behind"], angular_speed=first["drive"].angular_speed)}
+    )
+    assert "backwards" not in measures.verdict(alike, diffeed.simulate(alike, dt=2e-4, frames=51)).reason
+
+
+def test_a_sensor_that_looks_the_wrong_way_is_told():
+    back = nip(sensors=nip().sensors | {"exit": Sensor(position=(-15.0, 0.0), direction=(-1.0, 0.0))})
+    run = diffeed.simulate(back, dt=2e-4, frames=51)
+    verdict = measures.verdict(back, run)
+    assert verdict.status == "late"
+    assert verdict.reason.endswith("; its tail passed sensor exit against the sensor's direction")
+
+
 @pytest.mark.parametrize("read", [measures.verdict, measures.jam_margins, measures.energy])
 def test_arguments_in_the_wrong_order_are_told(read, run):
     with pytest.raises(TypeError, match="a Scene is needed here, but this is a Trajectory"):

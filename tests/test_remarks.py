@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed import ArcGuide, FixedRoller, LineGuide, MovableRoller, Profile, Scene, Sheet
+from diffeed import ArcGuide, FixedRoller, LineGuide, Motion, MovableRoller, Profile, Scene, Sheet
 from diffeed.base.records import replace
 
 NOTE = Sheet(length=72.0, thickness=0.1, width=140.0, density=9e-7, youngs_modulus=3000.0, bars=24)
@@ -44,6 +44,12 @@ def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
         ("sheets.note.youngs_modulus", 3.0, "sheets.note.youngs_modulus is 3 N/mm2: in GPa?"),
         ("sheets.note.density", 900.0, "sheets.note.density is 900 kg/mm3: in other units?"),
         ("sheets.note.thickness", 1e-4, "sheets.note.thickness is 0.0001 mm: in other units?"),
+        ("sheets.note.curl", 50.0, "sheets.note.curl is 50 1/mm, a radius of 0.02 mm: is it the radius?"),
+        (
+            "rollers.pinch.direction",
+            (1.0, 0.1),
+            "rollers.pinch.direction runs beside rollers.drive, not towards or away",
+        ),
         ("gravity", (0.0, -9.81), "gravity is 9.81 mm/s2: in m/s2?"),
         ("guides.turn.sweep", 1.5708, "guides.turn.sweep is 1.5708 degrees: in radians?"),
         ("rollers.drive.surface_speed", -1.5, "rollers.drive turns at 1.5 mm/s at most: in m/s?"),
@@ -85,6 +91,40 @@ def test_numbers_of_rollers_and_contacts_in_other_units(part, change, said):
     assert diffeed.remarks(scene) == []
     (remark,) = diffeed.remarks(diffeed.put(scene, part, change))
     assert remark.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("times", "turn", "said"),
+    [
+        ((0.0, 20.0), 14.0, "guides.flap.motion.times end at 20 s, but the run at 0.02 s: in ms?"),
+        ((0.0, 0.02), 0.244, "guides.flap.motion.rotation is 0.244 degrees at most: in radians?"),
+        ((0.0, 0.02), 14.0, None),
+    ],
+)
+def test_movements_in_other_units(times, turn, said):
+    swing = Motion(times=times, displacement=np.zeros((2, 2)), rotation=(0.0, turn))
+    flap = LineGuide(start=(-20.0, -5.0), end=(0.0, -5.0), motion=swing)
+    found = diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, guides={"flap": flap}, duration=0.02))
+    assert [f.startswith(said) for f in found] == [True] if said else found == []
+
+
+def test_the_faces_of_a_blade_that_is_thinner_than_they_feel():
+    """A millimetre apart each catches, up to 3 mm behind it, what lies on the other."""
+
+    def blade(apart, **changes):
+        left = replace(LineGuide(start=(0.0, 0.0), end=(0.0, 30.0)), **changes)
+        right = replace(LineGuide(start=(apart, 30.0), end=(apart, 2.0)), **changes)
+        return diffeed.remarks(guided(left=left, right=right))
+
+    one, two = blade(1.0)
+    assert one.startswith(
+        "guides.left and guides.right are back to back, 1 mm apart, which is less than guides.left.depth, 3 mm"
+    )
+    assert two.startswith("guides.right and guides.left are back to back")
+    assert blade(1.0, depth=0.4) == blade(3.5) == []
+    assert blade(-1.0) == []  # a channel, its faces towards each other
+    beside = LineGuide(start=(1.0, 80.0), end=(1.0, 40.0))
+    assert diffeed.remarks(guided(left=LineGuide(start=(0.0, 0.0), end=(0.0, 30.0)), right=beside)) == []
 
 
 def test_a_run_far_too_long_is_remarked_on():

@@ -5,6 +5,9 @@ from collections.abc import Iterable
 
 from diffeed.base.words import LONGEST, quoted
 
+LISTED = 24
+"""Names that are listed: all fields of any record."""
+
 
 def nearest(name: object, known: Iterable[str]) -> str:
     """The end of a sentence: the known name that is most like this one, or nothing."""
@@ -16,6 +19,6 @@ def nearest(name: object, known: Iterable[str]) -> str:
 def hint(name: object, known: Iterable[str]) -> str:
     """The end of a sentence: the nearest known name, or a list of what there is."""
     names = sorted(known)
-    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-    listed = ", ".join(quoted(n) for n in names[:12])
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    listed = ", ".join(quoted(n) for n in names[:LISTED])
     return nearest(name, names) or (f"; known: {listed}{more}" if names else "; there is none")
