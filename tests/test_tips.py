@@ -8,6 +8,7 @@ from diffeed import ArcGuide, CircleGuide, Clamp, Contact, LineGuide, Load, Moti
 from diffeed.base.records import replace
 from diffeed.chain.state import initial_state
 from diffeed.model.build import build
+from diffeed.pair.shapes import HANDED
 from diffeed.readings.snapshot import snapshot
 
 STIFFNESS, SMOOTHING, HALF = 200.0, 2e-3, 0.1
@@ -51,8 +52,11 @@ GUIDES = {
 @pytest.mark.parametrize("tip", [0.1, 0.5])
 def test_a_lead_at_the_end_of_a_guide_is_pushed_once(kind, skin, tip):
     guide = GUIDES[kind](tip)
-    for x in (-0.3, -0.1, -1e-9, 0.0, 1e-9):
+    handed = HANDED * (tip + HALF)  # over so much before the end the face hands over to the tip
+    for x in (-0.3, -handed, 0.0, 1e-9):
         assert force(x, 0.05, guide, skin=skin) == pytest.approx(by_hand(HALF - 0.05), rel=1e-3), x
+    for x in np.linspace(-handed, 0.0, 9)[1:-1]:
+        assert 0.9 * by_hand(HALF - 0.05) < force(x, 0.05, guide, skin=skin) <= 1.001 * by_hand(HALF - 0.05), x
     for x in (0.03, 0.06):
         penetration = HALF + tip - np.hypot(x, 0.05 + tip)
         assert force(x, 0.05, guide, skin=skin) == pytest.approx(by_hand(penetration), rel=1e-6), x
@@ -61,7 +65,7 @@ def test_a_lead_at_the_end_of_a_guide_is_pushed_once(kind, skin, tip):
 def test_a_tail_at_the_end_of_a_guide_is_pushed_once():
     """Turned about, with the face's other end."""
     guide = LineGuide(start=(0.0, 0.0), end=(100.0, 0.0), friction=0.0, tip_radius=0.5)
-    for x, penetration in ((0.1, HALF - 0.05), (-0.03, HALF + 0.5 - np.hypot(0.03, 0.55))):
+    for x, penetration in ((0.2, HALF - 0.05), (-0.03, HALF + 0.5 - np.hypot(0.03, 0.55))):
         turn = np.deg2rad(120.0)
         lead = x + 20.0 * np.cos(turn), 0.05 + 20.0 * np.sin(turn)
         assert force(*lead, guide, heading=120.0) == pytest.approx(by_hand(penetration), rel=1e-6)

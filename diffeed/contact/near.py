@@ -14,8 +14,8 @@ from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.features import Features, Place, blend
 from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
 from diffeed.contact.tips import Tips, felt_by_face
-from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
-from diffeed.pair.skin import Pieces, hull_circle, piece_circle, touched
+from diffeed.pair.shapes import BarNear, Chain, Near, chain_circle, point_arc, point_line, round_ends
+from diffeed.pair.skin import PieceNear, Pieces, hull_circle, piece_circle, touched
 
 
 class Closest(NamedTuple):
@@ -51,11 +51,11 @@ def circles_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Close
     if len(rows) == 1:
         (row,) = rows
         near = chain_circle(_chain(row), rigid.x, rigid.y, kept.radius)
-        weight = near.face + near.corner * _left_by_faces(near.gap, near.nx, near.ny, world, kept)
+        weight = near.face + near.corner * _left_by_faces(near, half_thickness, world, kept)
         places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
     else:
         near = piece_circle(_pieces(*rows), rigid.x, rigid.y, kept.radius)
-        left = _left_by_faces(near.gap, near.nx, near.ny, world, kept)
+        left = _left_by_faces(near, half_thickness, world, kept)
         weight = near.weight * jnp.where(near.run == 0.0, left, 1.0)  # 0: a round end of the sheet
         places, lever = _places(rows, near.u), near.run * reach
     return Closest(
@@ -71,12 +71,12 @@ def circles_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Close
     )
 
 
-def _left_by_faces(gap: Array, nx: Array, ny: Array, world: Bodies, kept: Kept) -> Array | float:
+def _left_by_faces(near: BarNear | PieceNear, half_thickness: Array, world: Bodies, kept: Kept) -> Array | float:
     """Share of a corner of the sheet that is left to a guide's tip: its face feels it as well, up to its end."""
     if kept.tips is None:
         return 1.0
     tips = kept.tips if world.tips is None else Tips(*picked(tuple(world.tips), kept.circle_index))
-    return 1.0 - felt_by_face(tips, gap, nx, ny, kept.radius)
+    return 1.0 - felt_by_face(tips, near.gap, near.nx, near.ny, kept.radius, half_thickness)
 
 
 def hulls_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> tuple[Array, Array, Array]:
@@ -134,7 +134,7 @@ def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closes
         qx, qy = part((px, py), kept.pairs, slice(n, None))
         faced.append(point_arc(qx, qy, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
         faces.append(arcs.faces)
-    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces)), None
+    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces), rows[-1].own.half_thickness), None
     if moving is not None:
         families = ((kept.lines, moving.lines, kept.line_index), (kept.arcs, moving.arcs, kept.arc_index))
         motion = in_rows([kept_family(moved, index) for guides, moved, index in families if guides is not None])

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.model.arrays import Arcs, Lines, Model
-from diffeed.pair.shapes import inside
+from diffeed.pair.shapes import felt_before_end
 
 
 class Tips(NamedTuple):
@@ -34,9 +34,10 @@ def tips_of(model: Model, lines: Lines, arcs: Arcs) -> Tips | None:
     return Tips(*(jnp.pad(jnp.concatenate(v), (others, 0)) for v in zip(*ends, strict=True)))
 
 
-def felt_by_face(tips: Tips, gap: Array, nx: Array, ny: Array, radius: Array) -> Array:
-    """0 to 1, how much of a corner of a sheet, at a gap and normal from circles, the face feels that ends there: all of it before
-    the end, nothing past it, as `round_ends` has it. A tip is tangent to its face: force and normal are the same at the end."""
+def felt_by_face(tips: Tips, gap: Array, nx: Array, ny: Array, radius: Array, half_thickness: Array) -> Array:
+    """0 to 1, how much of a corner of a sheet, at a gap (to its axis) and normal from circles, the face feels that ends there:
+    all of it before the end, nothing past it, as `round_ends` has it.
+    """
     distance, along = gap + radius, nx * tips.out_x + ny * tips.out_y
     height = distance * tips.hand * (ny * tips.out_x - nx * tips.out_y) - radius
-    return jnp.where(height > -tips.depth, inside(distance * along), 0.0)
+    return jnp.where(height > -tips.depth, felt_before_end(distance * along, radius + half_thickness), 0.0)

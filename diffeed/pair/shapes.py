@@ -15,6 +15,9 @@ EVENLY = {"float64": 1e-6, "float32": 1e-2}
 """mm from a joint within which one bar hands a circle over to the next: far above what rounding makes of where a joint is, for
 each bar finds it by itself."""
 
+HANDED = 0.2
+"""Of a tip's radius and half the thickness of the sheet: over so much before its free end a face hands a point of the sheet over
+to its tip. With more, a point that stands there would sink in; with less, what lies flat and slides off the end would jump."""
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
 
@@ -93,7 +96,14 @@ def past_ends_of_arc(
     return scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q)
 
 
-def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
+def felt_before_end(beyond: Array, reach: Array) -> Array:
+    """0 to 1, how much of a point a face feels that lies `beyond` its free end (mm; negative: before it); the tip feels the rest.
+    `reach`: mm from the tip's centre to the axis of a sheet that lies on it."""
+    half = 0.5 * HANDED * reach
+    return step_down(beyond + half, half)
+
+
+def round_ends(px: Array, py: Array, faced: Faced, face: Face, half_thickness: Array) -> Near:
     """The bearing face up to its free ends, and faded across joined ends. Past a free end the gap is that of the tip, which is a
     circle like any other and feels the point by itself."""
     behind = faced.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
@@ -102,7 +112,7 @@ def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
     # Both ends at once: (2, guides, points).
     joined, beyond = jnp.stack(face.joined) > 0, jnp.stack(faced.beyond)
     past, fading = beyond > jnp.where(joined, JOIN_WINDOW, 0.0), step_down(beyond, JOIN_WINDOW)
-    ends = jnp.where(joined, 1.0, inside(beyond))
+    ends = jnp.where(joined, 1.0, felt_before_end(beyond, (face.tip_radius + half_thickness)[None]))
     tip = point_circle(px[None], py[None], jnp.stack(face.tip_x), jnp.stack(face.tip_y), face.tip_radius[None])
     for end in (0, 1):
         gap = jnp.where(past[end], tip.gap[end], gap)
@@ -156,14 +166,14 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
     front_behind = jnp.where(chain.last, 1.0, front_behind)
     on_face = (front <= 0) & (rear <= 0) & ~chain.tail
     face = _on_face(front, rear_ahead) * _on_face(rear, front_behind)
-    node = (1.0 - inside(front)) * (1.0 - inside(rear_ahead))
-    face, corner = jnp.where(chain.tail, 0.0, face), jnp.where(chain.tail, 1.0 - inside(rear), node)
+    node = (1.0 - _inside(front)) * (1.0 - _inside(rear_ahead))
+    face, corner = jnp.where(chain.tail, 0.0, face), jnp.where(chain.tail, 1.0 - _inside(rear), node)
     arm = jnp.clip(foot, -half, half)
     near = point_circle(chain.x + arm * c, chain.y + arm * s, cx, cy, radius)
     return BarNear(near.gap, near.nx, near.ny, face, corner, arm, on_face)
 
 
-def inside(past: Array) -> Array:
+def _inside(past: Array) -> Array:
     """1 inside an end of a bar, 0 past it, handed over within `EVENLY`; without a slope right at the end, where a circle that
     stands over a joint at the start shall not make one."""
     u = jnp.clip(past / EVENLY[past.dtype.name], -1.0, 1.0)
@@ -177,4 +187,4 @@ def _on_face(mine: Array, other: Array) -> Array:
     """
     sum_, even = mine + other, EVENLY[mine.dtype.name] ** 2
     share = (mine * sum_ + 0.5 * even) / (sum_ * sum_ + even)
-    return inside(mine) * (1.0 - inside(other) * (1.0 - share))
+    return _inside(mine) * (1.0 - _inside(other) * (1.0 - share))
