@@ -19,7 +19,7 @@ RANKS = """
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
     chain: state system sums kinematics dense elimination solve
-    contact: features tips bodies kept near sweep roller_pairs crossing stick watched candidates
+    contact: features bodies kept near sweep roller_pairs crossing stick watched candidates
     forces: terms sheet loads clamps contacts rollers assemble energy
     faults: causes balance overshoot judge
     steppers: advance linear_euler extrapolated_euler runge_kutta midpoint

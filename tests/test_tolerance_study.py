@@ -646,10 +646,11 @@ range = [-0.01, 0.01]
 
 
 def test_samples_are_run_again_in_shorter_steps(rows):
-    """The force of this nip is the same in any steps; whether it is above its limit, too."""
+    """The force of this nip is the same in any steps, whether it is above its limit too; not so how far it feeds while its drive
+    runs up, which hardly scatters."""
     found = confirm(problem(), rows)
     assert found.holds
-    assert not found.unsure
+    assert found.unsure == ["fed"]
     assert found.passed.of == found.others.of == 2
     assert np.array_equal(
         rows.passed[found.samples], ~np.isin(found.samples, found.samples[~rows.passed[found.samples]])
@@ -677,10 +678,10 @@ def test_what_the_steps_decide_is_told(rows, monkeypatch):
     found = confirm(problem(), rows)
     assert not found.holds
     assert found.others == (0, 2)
-    assert found.unsure == ["force"]
+    assert found.unsure == ["fed", "force"]
     assert "of 2 that did not 0 do not either. The steps decide on the others" in found.sentence()
     told = found._replace(others=found.others._replace(same=2)).sentence()
-    assert told.endswith("Of the scatter of force the steps make a good part: a smaller --dt tells how much.")
+    assert told.endswith("Of the scatter of fed, force the steps make a good part: a smaller --dt tells how much.")
     assert summarise(problem(), rows, confirmed=found)["confirmed"]["others"] == {"same": 0, "of": 2}
 
 
@@ -705,4 +706,4 @@ def test_which_samples_are_run_again(passed, others, again):
 
 def test_steps_that_are_too_many_are_not_run_again(rows):
     with pytest.raises(ValueError, match="dt"):
-        confirm(problem().changed(dt=1e-9), rows)
+        confirm(problem().changed(dt=1e-11), rows)

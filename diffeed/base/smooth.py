@@ -128,7 +128,7 @@ def _solve_positive_jvp(given: tuple[Array, Array], moved: tuple[Array, Array]) 
     return x, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 
 
-def step_down(x: Array, half_width: Array | float) -> Array:
+def step_down(x: Array, half_width: float) -> Array:
     """1 below -half_width, 0 above +half_width, a cubic between; step_down(x) + step_down(-x) = 1."""
     u = jnp.clip(0.5 - 0.5 * x / half_width, 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)

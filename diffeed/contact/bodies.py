@@ -9,7 +9,6 @@ from jax import Array
 
 from diffeed.base.records import replace
 from diffeed.chain.state import State
-from diffeed.contact.tips import Tips, tips_of
 from diffeed.model.arrays import Arcs, Circles, Drives, Lines, Model, Path
 from diffeed.pair.shapes import Face
 
@@ -39,7 +38,6 @@ class Bodies(NamedTuple):
     arcs: Arcs
     guide_motion: Guides | None  # of line and arc guides; None: all still
     spin: Array  # (rollers,) rad/s
-    tips: Tips | None  # where the faces of guides end; None: no guide moves
 
 
 class Shift(NamedTuple):
@@ -119,9 +117,7 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
             lines, line_motion = _move_line(lines, line_motion, int(k), shift)
         elif family == "arcs":
             arcs, arc_motion = _move_arc(arcs, arc_motion, int(k), shift)
-    if not moves:
-        return Bodies(circles, lines, arcs, None, spin, None)
-    return Bodies(circles, lines, arcs, Guides(line_motion, arc_motion), spin, tips_of(model, lines, arcs))
+    return Bodies(circles, lines, arcs, Guides(line_motion, arc_motion) if moves else None, spin)
 
 
 def _circles_at(model: Model, state: State, spin: Array) -> Rigid:

@@ -8,7 +8,6 @@ import numpy as np
 from jax import Array
 
 from diffeed.contact.features import Listed, Own, listed, own
-from diffeed.contact.tips import Tips, tips_of
 from diffeed.model.arrays import Arcs, Lines, Model
 from diffeed.pair.law import Surface
 
@@ -36,7 +35,6 @@ class Kept(NamedTuple):
     active: Array
     travel_x: Array  # unit direction of a movable roller's travel, 0 for all other circles
     travel_y: Array
-    tips: Tips | None  # None: no circle is the tip of a guide
     spin_lever: Array  # radius of a freely turning roller, 0 for all other circles
     lines: Lines | None  # None: there are none, or they are not looked at
     arcs: Arcs | None
@@ -122,7 +120,6 @@ def keep(
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
     n_lines, c = len(model.lines.names), n
-    tips = tips_of(model, model.lines, model.arcs)
     pairs = None if feature is None else listed(model, feature)
 
     def surface(values: Array) -> Array:
@@ -144,7 +141,6 @@ def keep(
         active=pick(model.circles.active, circles),
         travel_x=pick(jnp.concatenate([rollers.dir_x, still]), circles),
         travel_y=pick(jnp.concatenate([rollers.dir_y, still]), circles),
-        tips=None if tips is None else Tips(*(pick(v, circles) for v in tips)),
         spin_lever=pick(levers, circles),
         lines=kept_family(model.lines, lines) if model.lines.names else None,
         arcs=kept_family(model.arcs, arcs) if model.arcs.names else None,

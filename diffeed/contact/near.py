@@ -13,9 +13,8 @@ from jax import Array
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.features import Features, Place, blend
 from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
-from diffeed.contact.tips import Tips, felt_by_face
-from diffeed.pair.shapes import BarNear, Chain, Near, chain_circle, point_arc, point_line, round_ends
-from diffeed.pair.skin import PieceNear, Pieces, hull_circle, piece_circle, touched
+from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
+from diffeed.pair.skin import Pieces, hull_circle, piece_circle, touched
 
 
 class Closest(NamedTuple):
@@ -28,7 +27,6 @@ class Closest(NamedTuple):
     places: tuple[Place, ...]  # on each bar that the pair pushes
     u_n: Array  # mm/s, speed of the body's surface along the normal and the tangent
     u_t: Array
-    in_front: Array | None  # bool: the sheet is held off there; else it is behind a guide, which lets go
     lever: Array  # mm that the foot runs per radian: R + t/2 where a face lies on a circle, 0 at a round end
 
 
@@ -51,32 +49,20 @@ def circles_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Close
     if len(rows) == 1:
         (row,) = rows
         near = chain_circle(_chain(row), rigid.x, rigid.y, kept.radius)
-        weight = near.face + near.corner * _left_by_faces(near, half_thickness, world, kept)
         places, lever = (Place(None, near.arm * row.c, near.arm * row.s),), jnp.where(near.on_face, reach, 0.0)
     else:
         near = piece_circle(_pieces(*rows), rigid.x, rigid.y, kept.radius)
-        left = _left_by_faces(near, half_thickness, world, kept)
-        weight = near.weight * jnp.where(near.run == 0.0, left, 1.0)  # 0: a round end of the sheet
         places, lever = _places(rows, near.u), near.run * reach
     return Closest(
         gap=near.gap - half_thickness,
         nx=near.nx,
         ny=near.ny,
-        weight=weight * kept.active,
+        weight=near.weight * kept.active,
         places=places,
         u_n=near.nx * rigid.vx + near.ny * rigid.vy,
         u_t=near.nx * rigid.vy - near.ny * rigid.vx + rigid.w * kept.radius,
-        in_front=jnp.ones(near.gap.shape, bool),
         lever=lever,
     )
-
-
-def _left_by_faces(near: BarNear | PieceNear, half_thickness: Array, world: Bodies, kept: Kept) -> Array | float:
-    """Share of a corner of the sheet that is left to a guide's tip: its face feels it as well, up to its end."""
-    if kept.tips is None:
-        return 1.0
-    tips = kept.tips if world.tips is None else Tips(*picked(tuple(world.tips), kept.circle_index))
-    return 1.0 - felt_by_face(tips, near.gap, near.nx, near.ny, kept.radius, half_thickness)
 
 
 def hulls_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> tuple[Array, Array, Array]:
@@ -134,7 +120,7 @@ def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closes
         qx, qy = part((px, py), kept.pairs, slice(n, None))
         faced.append(point_arc(qx, qy, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
         faces.append(arcs.faces)
-    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces), rows[-1].own.half_thickness), None
+    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces)), None
     if moving is not None:
         families = ((kept.lines, moving.lines, kept.line_index), (kept.arcs, moving.arcs, kept.arc_index))
         motion = in_rows([kept_family(moved, index) for guides, moved, index in families if guides is not None])
@@ -168,4 +154,4 @@ def _end_circles(rows: tuple[Features, ...], places: tuple[Place, ...], near: Ne
         ux, uy = motion.vx - motion.w * ry, motion.vy + motion.w * rx
         u_n, u_t = near.nx * ux + near.ny * uy, near.nx * uy - near.ny * ux
     places = jax.tree.map(lambda v: jnp.broadcast_to(v, zero.shape), places)
-    return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, near.in_front, zero)
+    return Closest(near.gap - half_thickness, near.nx, near.ny, near.weight, places, u_n, u_t, zero)

@@ -36,7 +36,6 @@ class Pairs(NamedTuple):
     u_n: Array  # mm/s of the body's surface
     u_t: Array
     weight: Array
-    corner: Array  # bool: at an end circle of a bar, or a point that guides feel; else on a bar's face or the curve
     turning: Array  # geometric stiffness of the skin's rotation, kg mm2/s2
 
 
@@ -44,7 +43,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     """The kept pairs. Without a `grip`, friction is regularised everywhere."""
     rows = features(model, at, kept.pairs)
     near, half_thickness = nearest(rows, world, kept), rows[-1].own.half_thickness
-    near = derived_once(near._replace(in_front=None))  # which only the search asks for, and which has no slope
+    near = derived_once(near)
     levers, away, along = [], [], []
     for row, place in zip(rows, near.places, strict=True):
         rn = place.arm_x * near.ny - place.arm_y * near.nx
@@ -59,7 +58,7 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
     # with the headings of its two bars by their shares.
     turning = touch.force * near.lever
     moving = (v_n, v_t, near.u_n, near.u_t)
-    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, near.lever == 0.0, turning)
+    return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
 
 
 def heading(model: Model, at: Pose, pairs: Pairs, listed: Listed | None) -> tuple[Array, Array]:

@@ -68,8 +68,7 @@ def watch(model: Model, at: Pose, world: Bodies, near: Closest, kept: Kept, fami
     guides, place = (kept.lines, world.lines) if family == "lines" else (kept.arcs, world.arcs)
     assert guides is not None
     # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-    felt = near.in_front
-    assert felt is not None
+    felt = near.weight > 0
     gap = near.gap - jnp.where(felt, 0.0, guides.faces.depth)
     x, y = nodes(model, at)
     arm = x[None, :] - near.nx * near.gap - place.x[body], y[None, :] - near.ny * near.gap - place.y[body]

@@ -15,9 +15,6 @@ EVENLY = {"float64": 1e-6, "float32": 1e-2}
 """mm from a joint within which one bar hands a circle over to the next: far above what rounding makes of where a joint is, for
 each bar finds it by itself."""
 
-HANDED = 0.2
-"""Of a tip's radius and half the thickness of the sheet: over so much before its free end a face hands a point of the sheet over
-to its tip. With more, a point that stands there would sink in; with less, what lies flat and slides off the end would jump."""
 JOIN_WINDOW = 0.25
 """Half-width (mm) over which two guides with a common end hand a node over to each other."""
 
@@ -29,8 +26,6 @@ class Near(NamedTuple):
     nx: Array
     ny: Array
     weight: Array  # 0..1: share of the contact that this pair carries
-    # Bool: the gap is to where the sheet is held off; else it is behind a guide, which lets go there. None: not asked.
-    in_front: Array | None = None
 
 
 def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> Near:
@@ -96,29 +91,20 @@ def past_ends_of_arc(
     return scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q)
 
 
-def felt_before_end(beyond: Array, reach: Array) -> Array:
-    """0 to 1, how much of a point a face feels that lies `beyond` its free end (mm; negative: before it); the tip feels the rest.
-    `reach`: mm from the tip's centre to the axis of a sheet that lies on it."""
-    half = 0.5 * HANDED * reach
-    return step_down(beyond + half, half)
-
-
-def round_ends(px: Array, py: Array, faced: Faced, face: Face, half_thickness: Array) -> Near:
-    """The bearing face up to its free ends, and faded across joined ends. Past a free end the gap is that of the tip, which is a
-    circle like any other and feels the point by itself."""
+def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
+    """Replace the bearing face past a free end by the tip circle, and fade it across a joined end."""
     behind = faced.gap <= -face.depth  # on the far side of a thin guide: untouched, its distance counts from there
     gap, weight = jnp.where(behind, -faced.gap, faced.gap), jnp.where(behind, 0.0, 1.0)
     nx, ny = faced.nx, faced.ny
     # Both ends at once: (2, guides, points).
     joined, beyond = jnp.stack(face.joined) > 0, jnp.stack(faced.beyond)
     past, fading = beyond > jnp.where(joined, JOIN_WINDOW, 0.0), step_down(beyond, JOIN_WINDOW)
-    ends = jnp.where(joined, 1.0, felt_before_end(beyond, (face.tip_radius + half_thickness)[None]))
     tip = point_circle(px[None], py[None], jnp.stack(face.tip_x), jnp.stack(face.tip_y), face.tip_radius[None])
     for end in (0, 1):
         gap = jnp.where(past[end], tip.gap[end], gap)
         nx, ny = jnp.where(past[end], tip.nx[end], nx), jnp.where(past[end], tip.ny[end], ny)
         weight = jnp.where(joined[end], weight * fading[end], jnp.where(past[end], 1.0, weight))
-    return Near(gap, nx, ny, weight * ends[0] * ends[1], weight > 0)
+    return Near(gap, nx, ny, weight)
 
 
 class BarNear(NamedTuple):
@@ -127,8 +113,7 @@ class BarNear(NamedTuple):
     gap: Array
     nx: Array
     ny: Array
-    face: Array  # share of the contact on the bar's face, 0..1
-    corner: Array  # and on its front end circle, or the tail's
+    weight: Array
     arm: Array  # mm from the bar's centre along its axis to the touched point
     on_face: Array  # bool: the circle stands over the bar's face
 
@@ -167,10 +152,10 @@ def chain_circle(chain: Chain, cx: Array, cy: Array, radius: Array) -> BarNear:
     on_face = (front <= 0) & (rear <= 0) & ~chain.tail
     face = _on_face(front, rear_ahead) * _on_face(rear, front_behind)
     node = (1.0 - _inside(front)) * (1.0 - _inside(rear_ahead))
-    face, corner = jnp.where(chain.tail, 0.0, face), jnp.where(chain.tail, 1.0 - _inside(rear), node)
+    weight = jnp.where(chain.tail, 1.0 - _inside(rear), face + node)
     arm = jnp.clip(foot, -half, half)
     near = point_circle(chain.x + arm * c, chain.y + arm * s, cx, cy, radius)
-    return BarNear(near.gap, near.nx, near.ny, face, corner, arm, on_face)
+    return BarNear(near.gap, near.nx, near.ny, weight, arm, on_face)
 
 
 def _inside(past: Array) -> Array:

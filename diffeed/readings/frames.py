@@ -53,7 +53,6 @@ class Approach(NamedTuple):
     gap: Array  # mm; infinite for the tip of a guide's end that is joined to another: it touches nothing
     into: Array  # sine of the angle between the bar's heading and the body's face
     weight: Array  # 0..1: share of the contact that the pair carries
-    corner: Array  # bool: with an end circle of the bar, not with its face
 
 
 @jit_of_scene
@@ -66,6 +65,6 @@ def approach(scene: Scene, states: State) -> Approach:
         pairs = touching.sheets
         assert pairs is not None
         c, s = heading(model, at, pairs, None)
-        return Approach(gaps_of_pairs(model, pairs), -(c * pairs.nx + s * pairs.ny), pairs.weight, pairs.corner)
+        return Approach(gaps_of_pairs(model, pairs), -(c * pairs.nx + s * pairs.ny), pairs.weight)
 
     return jax.lax.map(at_frame, states)

@@ -96,11 +96,10 @@ def _head(scene: Scene, trajectory: Trajectory, near: Approach, name: str) -> di
     """Attack and gap of the head at line and arc guides, over frames."""
     model = build(scene)
     k = model.layout.names.index(name)
-    # Tips, then faces.
-    feature, first = model.layout.starts[k] + k, len(model.circle_names) - len(model.circles.tip_of)
-    gap, into, weight, corner = (v[:, first:, feature] for v in near)  # (frames, guides)
-    gap = jnp.where((weight > 0) & corner, gap, jnp.inf)
-    guides = [scene.guides[n] for n in model.body_names[first:]]
+    feature, first = model.layout.starts[k] + k, len(model.circle_names)
+    gap, into, weight = (v[:, first:, feature] for v in near)  # (frames, guides)
+    gap = jnp.where(weight > 0, gap, jnp.inf)
+    guides = [scene.guides[n] for n in (*model.lines.names, *model.arcs.names)]
     slick = np.array([scene.contacts[g.contact].friction_law == "none" for g in guides])
     friction = jnp.where(slick, 0.0, stacked([g.friction for g in guides]))
     holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)
