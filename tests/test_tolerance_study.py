@@ -707,3 +707,15 @@ def test_which_samples_are_run_again(passed, others, again):
 def test_steps_that_are_too_many_are_not_run_again(rows):
     with pytest.raises(ValueError, match="dt"):
         confirm(problem().changed(dt=1e-11), rows)
+
+
+def test_what_never_arrives_is_no_time():
+    """Within 10 ms the strip is fed half a millimetre of the one to the gate: infinite, and counted apart."""
+    study = problem(measures={"arrival": {"measure": "arrival", "at": "gate"}}, limits={}, samples=2)
+    rows = run_study(study, here(study, 2))
+    assert np.isinf(rows.values[:, 0]).all()
+    found = summarise(study, rows)["measures"]["arrival"]
+    assert (found["runs"], found["never"], found["mean"]) == (2, 2, None)
+    text = io.StringIO()
+    print_summary(Console(file=text, width=120), summarise(study, rows))
+    assert "arrival: never in 2 of 2 samples; mean and std are of the others" in text.getvalue()
