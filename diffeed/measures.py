@@ -157,7 +157,7 @@ def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | N
     _known("sheet", sheet, model.layout.names)
     k = model.layout.names.index(sheet)
     feature, rows = model.layout.starts[k] + k, np.flatnonzero(np.array(names) == part)
-    gaps, into, *_ = (v[:, rows, feature] for v in approach(scene, trajectory.states))
+    gaps, into, _ = (v[:, rows, feature] for v in approach(scene, trajectory.states))
     nearest = jnp.argmin(gaps, axis=1)[:, None]
     gap, sine = (jnp.take_along_axis(v, nearest, axis=1)[:, 0] for v in (gaps, into))
     angle = jnp.rad2deg(jnp.arcsin(jnp.clip(sine, -1.0, 1.0)))

@@ -103,6 +103,15 @@ def run_problems(study: Runs, scene: diffeed.Scene, where: str, problems: list[s
     problems += [f"{where}: {p}" if where else p for p in found]
 
 
+def refuse_runs(study: Runs, scenes: dict[str, diffeed.Scene]) -> None:
+    """ValueError, with where, for scenes that cannot be run as a study asks."""
+    problems: list[str] = []
+    for where, scene in scenes.items():
+        run_problems(study, scene, where, problems)
+    if problems:
+        raise ValueError("; ".join(problems))
+
+
 def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, problems: list[str]) -> Asked | None:
     """Look up measure, parts and sensor; None, and a line in `problems`, where something does not fit."""
     where = f"{section}.{name}"

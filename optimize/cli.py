@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from diffeed.base.folders import OutputError, holding, plain_errors, publishing
-from diffeed.base.terminal import SETTINGS, Refusal, console, hand_out, refusing
+from diffeed.base.terminal import SETTINGS, Refusal, console, hand_out, once_more, refusing
 from optimize.tolerance.cli import latitude, tolerance
 
 if TYPE_CHECKING:
@@ -94,18 +94,10 @@ def design(
 
 
 def _confirmed(result: "Result") -> "Confirmation | None":
-    """Say whether the result is better in shorter steps too; None where that cannot be said. Ctrl-C leaves it out."""
+    """Say whether the result is better in shorter steps too; None where that cannot be said."""
     from optimize.confirmation import confirm
 
-    click.echo("once more, with shorter steps (--once leaves that out)", err=True)
-    try:
-        found = confirm(result)
-    except KeyboardInterrupt:
-        click.echo("not confirmed: stopped by Ctrl-C", err=True)
-        return None
-    except ValueError as problem:
-        click.echo(f"not confirmed: {problem}", err=True)
-        return None
+    found = once_more("before and after", lambda: confirm(result))
     if found is not None:
         console().print(found.sentence())
     return found

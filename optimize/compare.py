@@ -211,23 +211,29 @@ def _falls(trace: Trace) -> list[list[float]]:
 
 
 def picture(found: Comparison) -> "Axes":
-    """How far the best punished objective is above the best of all searches, against cost."""
+    """How far the best punished objective is above the best of all searches, against cost. Where it is that best, a curve
+    comes down to the axis."""
     ax = plot_style.axes(None)
     least = min(t.best[-1] for t in found.traces)
-    drawn = False
-    for i, trace in enumerate(found.traces):
-        shown = np.isfinite(trace.best) & (trace.best > least)
-        above = np.subtract(trace.best, least, out=np.full(len(shown), np.nan), where=shown)
-        ax.step(trace.cost, above, where="post", label=trace.name, **plot_style.line(i))
-        drawn |= bool(shown.any())
-    if drawn:
-        if least < found.target < np.inf:
-            ax.axhline(found.target - least, color=plot_style.FAINT, linewidth=0.8)
+    above = [
+        np.subtract(t.best, least, out=np.full(len(t.best), np.nan), where=np.isfinite(t.best)) for t in found.traces
+    ]
+    positive = np.concatenate([gaps[gaps > 0.0] for gaps in above])
+    title = None
+    if len(positive):
+        goal = [found.target - least] if least < found.target < np.inf else []
+        bottom = 0.5 * min([*positive, *goal])
+        for i, (trace, gaps) in enumerate(zip(found.traces, above, strict=True)):
+            ax.step(trace.cost, np.maximum(gaps, bottom), where="post", label=trace.name, **plot_style.line(i))
+        for height in goal:
+            ax.axhline(height, color=plot_style.STEEL, linewidth=0.8, label=f"target {found.target:.5g}")
         ax.set_xscale("log")
         ax.set_yscale("log")
+        ax.set_ylim(bottom=bottom)
+        title = f"At the bottom: the best found, {least:.5g}"
     else:  # a logarithm of nothing is no axis
         words = "\n".join(_not_found(found) or ["no search had a value above the best found"])
         ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", fontsize=plot_style.TEXT, color=plot_style.STEEL)
-    plot_style.label(ax, "Forward runs", "Punished objective above the best found")
+    plot_style.label(ax, "Forward runs", "Punished objective above the best found", title)
     plot_style.legend_beside(ax)
     return ax

@@ -4,7 +4,7 @@ leave wrong for a gain."""
 from dataclasses import dataclass, replace
 
 from diffeed.readings.agreement import FINER
-from optimize.asked import run_problems
+from optimize.asked import refuse_runs
 from optimize.design_run import Result, Scored, score
 from optimize.problem import SLACK
 
@@ -49,12 +49,8 @@ def confirm(result: Result) -> Confirmation | None:
     """
     if not result.improved:
         return None
-    study = result.problem.study.finer()
-    problems: list[str] = []
-    for name, scene in zip(result.problem.media, result.problem.scenes, strict=True):
-        run_problems(study, scene, f"media.{name}" if name else "", problems)
-    if problems:
-        raise ValueError("; ".join(problems))
-    problem = replace(result.problem, study=study)
+    problem = replace(result.problem, study=result.problem.study.finer())
+    where = [f"media.{name}" if name else "" for name in problem.media]
+    refuse_runs(problem.study, dict(zip(where, problem.scenes, strict=True)))
     before, after = (score(problem, point.unit) for point in (result.before, result.after))
     return Confirmation(before, after, (result.before.objective, result.after.objective))

@@ -68,6 +68,8 @@ class Line(NamedTuple):
     gradients: int
     seconds: float
     values: dict[str, float]
+    loss: float = np.nan  # what the optimiser sees, with its penalties; not a number where the run failed
+    promised: float = np.nan  # by how much the gradient says that the step from here changes it
 
 
 def stages_of(problem: Problem) -> list[Stage]:
@@ -122,7 +124,7 @@ def search(
         _judge(problem, progress, found)
         _step(problem, progress, move, evaluator)
         progress.iteration += 1
-        if problem.sides and progress.iteration % INNER == 0:
+        if raises(problem, progress.iteration):
             _raise_multipliers(problem, progress, found)
         progress.counts = evaluator.counts
         progress.seconds += time.monotonic() - begun
@@ -130,6 +132,11 @@ def search(
         stop(problem, progress)
         save(progress, line)
         yield progress, line
+
+
+def raises(problem: Problem, iteration: int) -> bool:
+    """Whether the multipliers are updated after an iteration: what follows is another loss."""
+    return bool(problem.sides) and iteration % INNER == 0
 
 
 def chosen(progress: Progress) -> int:
@@ -273,6 +280,8 @@ def _line(problem: Problem, progress: Progress, at: np.ndarray, found: Evaluated
         alive=int(np.sum(progress.falls < ROLLBACKS)), simulations=progress.counts.simulations,
         gradients=progress.counts.gradients, seconds=progress.seconds,
         values=dict(zip(problem.names, map(float, values), strict=True)),
+        loss=float(found.value[i]) if progress.falls[i] == 0 else np.nan,
+        promised=float(progress.slope[i] @ (progress.unit[i] - progress.good[i])),
     )  # fmt: skip
 
 

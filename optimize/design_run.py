@@ -19,6 +19,8 @@ from optimize.problem import SLACK, Problem, make_problem, over_media, simulate
 from optimize.study import Study
 from optimize.terms import TERMS
 
+Margins = dict[str, dict[str, float]]
+"""The parts of the jam margin of each sheet for which it is asked: the smallest is what binds."""
 VERDICT = ("arrivals", "feed", "nips", "energy", "gaps", "curvature")
 """Observed in the runs before and after, for verdict and tables."""
 
@@ -35,9 +37,7 @@ class Scored:
     violation: float  # largest, in the limits' scales; <= 0: kept
     verdicts: tuple[measures.Verdict, ...]  # per medium
     missed: np.ndarray  # (media, limits) how far each is broken, in its scale; `violation` is the largest
-    margins: tuple[
-        dict[str, dict[str, float]], ...
-    ]  # per medium, of each sheet whose jam margin is asked for: its parts
+    margins: tuple[Margins, ...]  # per medium
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -138,9 +138,9 @@ def score(problem: Problem, unit: np.ndarray) -> Scored:
     )
 
 
-def _margins(problem: Problem, scene: diffeed.Scene, run: Any) -> dict[str, dict[str, float]]:
-    """The parts of the jam margins that the study asks for, by sheet: the smallest is what binds."""
-    asked = [a for a in (*problem.goals, *problem.limits) if a.term is TERMS["jam_margin"]]
+def _margins(problem: Problem, scene: diffeed.Scene, run: Any) -> Margins:
+    """None where machines scatter: a run is of the one as drawn, and which part binds differs."""
+    asked = [] if problem.inputs else [a for a in (*problem.goals, *problem.limits) if a.term is TERMS["jam_margin"]]
     sheets = sorted({part for a in asked for part in a.parts})
     return {s: {k: float(v) for k, v in measures.jam_margins(scene, run, s).items()} for s in sheets}
 

@@ -16,7 +16,7 @@ from diffeed.base.names import nearest
 from diffeed.input.stacking import misfit
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
-from optimize.study import Goal, Study
+from optimize.study import Goal, Study, Variable
 from optimize.tolerance.draws import Input, deviations, inputs_of, key_of, uniforms
 from optimize.tolerance.moves import sampled
 
@@ -233,7 +233,7 @@ def make_problem(
     base = changed(base, study.set, "set", problems)
     scenes = {name: changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}
     scenes = scenes or {"": base}
-    problems += _variable_problems(study, base)
+    problems += list(_variable_problems(study, base)) or list(_bound_problems(study, base))
     moving = [name for name, tolerance in study.tolerances.items() if tolerance.climate is not None]
     problems += [f"tolerances.{n}.climate belongs to tolerance studies, whose media are cards" for n in moving]
     tolerances = {name: t for name, t in study.tolerances.items() if name not in moving}
@@ -292,17 +292,39 @@ def _variable_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
                 number_at(scene, path)
             except ValueError as error:
                 found.append(f"{where}.path: {error}")
-        for part in (*(variable.shift or ()), *(variable.turn or ())):
-            try:
-                if not free.places(scene, part):
-                    found.append(f"{where}: {part} has no place that could move; name rollers or guides")
-            except ValueError as error:
-                found.append(f"{where}: {error}")
+        try:
+            free.refuse_moves(scene, variable)
+        except ValueError as error:
+            found.append(f"{where}: {error}")
         yield from found
         if not found:
             start, (low, high) = free.start_of(variable, scene), variable.bounds
             if not low <= start <= high:
                 yield f"{where}.bounds must hold the start, {start:g}, but are [{low:g}, {high:g}]"
+    for name, variable in study.variables.items():
+        for path in variable.delay or ():
+            for own, owner in owners.items():
+                if own == path or own.startswith(f"{path}["):
+                    yield f"variables.{name}.delay must name other times than variables.{owner}.path, but names {path}"
+
+
+def _bound_problems(study: Study, scene: diffeed.Scene) -> Iterator[str]:
+    """What no scene can have where the search begins, and where one variable is at a bound and the others are there."""
+    names, variables = list(study.variables), tuple(study.variables.values())
+    start = [free.start_of(v, scene) for v in variables]
+    begins = list(_number_problems(scene, variables, start))
+    yield from (f"variables, where the search begins: {problem}" for problem in begins)
+    for i, variable in enumerate(variables if not begins else ()):
+        for bound in variable.bounds:
+            for problem in _number_problems(scene, variables, [*start[:i], bound, *start[i + 1 :]]):
+                yield f"variables.{names[i]}.bounds: at {bound:g}, {problem}"
+
+
+def _number_problems(scene: diffeed.Scene, variables: tuple[Variable, ...], values: list[float]) -> Iterator[str]:
+    try:
+        diffeed.scene(**vars(free.applied(scene, variables, jnp.asarray(values))))
+    except diffeed.SceneError as error:
+        yield from error.problems
 
 
 def _setting_problems(study: Study) -> Iterator[str]:

@@ -54,10 +54,11 @@ class Record(BaseModel):
 
 
 class Moved(Record):
-    """What one number moves: exactly one of `path`, `shift` and `turn` is given.
+    """What one number moves: exactly one of `path`, `shift`, `turn` and `delay` is given.
 
     `path`: a number of the scene, or several that share one value (two rollers, one radius). `shift`: parts that move
     together along `direction`, in mm from where they are drawn. `turn`: parts that turn together about `about`, in degrees.
+    `delay`: times that come later together, in s after what is written.
     """
 
     path: str | list[str] | None = None
@@ -66,15 +67,17 @@ class Moved(Record):
     """Rollers or guides ("guides.turn") that move together along `direction`, mm from where they are drawn."""
     turn: list[str] | None = None
     """Rollers or guides that turn together about `about`, degrees."""
+    delay: list[str] | None = None
+    """Times ("guides.gate.motion.times", all of it, or "rollers.drive.surface_speed.times[2]") that come later together, s."""
     direction: Pair | None = None
     """Of a shift; its length does not count."""
     about: Pair | None = None
     """mm: the point of a turn."""
-    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn")
+    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "delay")
 
     @model_validator(mode="after")
     def _named_once(self) -> "Moved":
-        for moved in (self.paths, self.shift or [], self.turn or []):
+        for moved in (self.paths, self.shift or [], self.turn or [], self.delay or []):
             if twice := sorted({name for name in moved if moved.count(name) > 1}):
                 raise ValueError(f"each number or part must be named once, but {', '.join(twice)} is named again")
         return self
@@ -147,7 +150,7 @@ class Runs(Record):
         return {"dt": dt, "method": self.method, "tolerance": self.step_tolerance, "most_steps": self.most_steps}
 
     def finer(self) -> Self:
-        """The same with steps four times shorter, or such a tolerance and as many more steps, to confirm by."""
+        """The same with steps `diffeed.readings.agreement.FINER` times shorter, or such a tolerance and as many more steps."""
         steps = finer(self.dt, self.step_tolerance, self.most_steps)
         return self.model_copy(update={"step_tolerance" if key == "tolerance" else key: v for key, v in steps.items()})
 

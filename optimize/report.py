@@ -1,6 +1,7 @@
 """What a search gives its user: a table on the screen, and a folder with scene, numbers and pictures."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from diffeed.base.files import write_whole
 from diffeed.base.terminal import plain_table
 from optimize.blame_map import arising, blame, parts_of
 from optimize.confirmation import Confirmation
+from optimize.descent import raises
 from optimize.design_run import Result, Scored, run_of
 from optimize.journal import FILES, SUMMARY
 from optimize.problem import SLACK, Problem
@@ -19,11 +21,16 @@ from optimize.study import Goal, Limit, Robust
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 WORDS = ("unit", "wanted")
 """Columns of words in the tables."""
 STEEP = 1e4
 """Times the objective that a gradient promises over the range of the variables: no landscape that means anything is so steep."""
+
+FEWEST, EMPTY, LITTLE = 5, 0.1, 0.01
+"""Steps; the part of what gradients promise below which they are of no use (a step that curvature spoils still changes about as
+much as was promised); and of the largest objective what must be promised to be worth a word."""
 
 
 def summarise(result: Result, confirmed: Confirmation | None = None) -> dict[str, Any]:
@@ -99,28 +106,32 @@ def print_result(console: "Console", result: Result) -> None:
         table.add_row(name + (" (at its bound)" if at_bound else ""), unit, *(f"{v:.5g}" for v in row))
     console.print(table)
     console.print("Goals and limits", style="bold")
-    table = plain_table("measure", "unit", "before", "after", "wanted", words=WORDS)
-    for m, medium in enumerate(problem.media):
-        for k, asked in enumerate(problem.goals):
-            table.add_row(_label(medium, asked), asked.term.unit, f"{before.goals[m][k]:.5g}", f"{after.goals[m][k]:.5g}",
-                          _wanted(asked.spec))  # fmt: skip
-        for k, asked in enumerate(problem.limits):
-            broken = _broken(problem, asked.spec, after.missed[m][k])
-            table.add_row(_label(medium, asked), asked.term.unit, f"{before.limits[m][k]:.5g}",
-                          f"{after.limits[m][k]:.5g}", _wanted(asked.spec) + broken)  # fmt: skip
-        for sheet, parts in before.margins[m].items():
-            for part, was in parts.items():
-                table.add_row(
-                    _margin(medium, sheet, part), "1", f"{was:.5g}", f"{after.margins[m][sheet][part]:.5g}", ""
-                )
-    worth = (
-        "-" if np.isnan(v) else f"{v:.5g}" for v in (before.objective, after.objective)
-    )  # "-": a machine's run fails
-    table.add_row("objective", "", *worth, "least")
-    console.print(table)
+    console.print(_measured(result))
     if problem.inputs:
         console.print(_machines(problem.study.robust))
     _print_search(console, result)
+
+
+def _measured(result: Result) -> "Table":
+    """Goals, limits and the parts of jam margins of each medium, and the objective."""
+    problem, before, after = result.problem, result.before, result.after
+    table = plain_table("measure", "unit", "before", "after", "wanted", words=WORDS)
+
+    def add(name: str, unit: str, was: Any, now: Any, wanted: str) -> None:
+        table.add_row(name, unit, *("-" if np.isnan(v) else f"{v:.5g}" for v in (was, now)), wanted)
+
+    for m, medium in enumerate(problem.media):
+        where = f"{medium}: " if medium else ""
+        for k, asked in enumerate(problem.goals):
+            add(where + asked.name, asked.term.unit, before.goals[m][k], after.goals[m][k], _wanted(asked.spec))
+        for k, asked in enumerate(problem.limits):
+            wanted = _wanted(asked.spec) + _broken(problem, asked.spec, after.missed[m][k])
+            add(where + asked.name, asked.term.unit, before.limits[m][k], after.limits[m][k], wanted)
+        for sheet, parts in before.margins[m].items():
+            for part, was in parts.items():
+                add(f"{where}{sheet}: {part}", "1", was, after.margins[m][sheet][part], "")
+    add("objective", "", before.objective, after.objective, "least")  # not a number: a machine's run fails
+    return table
 
 
 def _print_search(console: "Console", result: Result) -> None:
@@ -133,19 +144,31 @@ def _print_search(console: "Console", result: Result) -> None:
             " objective over the range of the variables: do not believe it. `check` says of which variables;"
             ' search.gradient = "expected" may help.'
         )
+    steps, promised, came = _kept(result)
+    if steps >= FEWEST and promised > LITTLE * size and came < EMPTY * promised:
+        console.print(
+            f"Over {steps} steps the gradients promised changes of {promised:.3g} in all, and {came:.3g} came: they are those of"
+            " single time steps, not of the machine. `check` says of which variables; shorter steps, a step_tolerance or"
+            ' search.gradient = "expected" may help.'
+        )
     console.print(
         f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
         f"{spent.seconds:.1f} s (compilation included)"
     )
 
 
-def _margin(medium: str, sheet: str, part: str) -> str:
-    """A part of a jam margin, of the machine as drawn: the smallest binds."""
-    return f"{medium}: {sheet}: {part}" if medium else f"{sheet}: {part}"
-
-
-def _label(medium: str, asked: Any) -> str:
-    return f"{medium}: {asked.name}" if medium else asked.name
+def _kept(result: Result) -> tuple[int, float, float]:
+    """Over the steps of the best starts that can be held against what came of them: how many, and by how much in all the loss
+    was to change, and did. Not where another loss came between, or another start."""
+    steps, promised, came = 0, 0.0, 0.0
+    for line, after in pairwise(result.history):
+        same = all(line[key] == after[key] for key in ("start", "stage"))
+        same = same and not raises(result.problem, line["iteration"])
+        # None where the run failed, and in a history of before they were kept.
+        was, now, expected = np.array([line.get("loss"), after.get("loss"), line.get("promised")], float)
+        if same and np.isfinite([was, now, expected]).all():
+            steps, promised, came = steps + 1, promised + abs(expected), came + abs(now - was)
+    return steps, promised, came
 
 
 def _wanted(spec: Goal | Limit) -> str:

@@ -22,7 +22,7 @@ class Variable(Moved):
     bounds: Pair
     """Lower and upper value, in the variable's own unit."""
     start: Number | None = None
-    """Where the search begins; the scene's value if not given, no movement for a shift or a turn."""
+    """Where the search begins; the scene's value if not given, no movement for a shift, a turn or a delay."""
     transform: Literal["bounded", "log"] = "bounded"
     """With "log", equal steps are equal shares; needs bounds > 0."""
     tolerance: Positive | None = None

@@ -69,11 +69,29 @@ def applied(scene: diffeed.Scene, variables: Sequence[Variable], values: Array) 
     for variable, value in zip(variables, values, strict=True):
         for path in variable.paths:
             scene = diffeed.put(scene, path, value)
-        for part in variable.shift or ():
-            scene = shifted(scene, part, variable.direction, value)
-        for part in variable.turn or ():
-            scene = turned(scene, part, variable.about, value)
+        scene = moved(scene, variable, value)
     return scene
+
+
+def moved(scene: diffeed.Scene, what: Moved, value: Array) -> diffeed.Scene:
+    """The scene with parts shifted or turned, or times delayed, by `value`; unchanged where `what` names numbers."""
+    for part in what.shift or ():
+        scene = shifted(scene, part, what.direction, value)
+    for part in what.turn or ():
+        scene = turned(scene, part, what.about, value)
+    for path in what.delay or ():
+        scene = diffeed.put(scene, path, diffeed.get(scene, path) + value)
+    return scene
+
+
+def refuse_moves(scene: diffeed.Scene, what: Moved) -> None:
+    """Raises ValueError for a part without a place, and for a delay of what is no time."""
+    for part in (*(what.shift or ()), *(what.turn or ())):
+        if not places(scene, part):
+            raise ValueError(f"{part} has no place that could move; name rollers or guides")
+    for path in what.delay or ():
+        if (unit := diffeed.unit(scene, path)) != "s" or ".times" not in path:
+            raise ValueError(f"delay must name times of profiles or motions, but {path} is none (its unit is {unit})")
 
 
 def shifted(scene: diffeed.Scene, part: str, direction: Any, value: Array) -> diffeed.Scene:
@@ -122,4 +140,6 @@ def unit_text(scene: diffeed.Scene, variable: Moved) -> str:
     """The unit of a variable."""
     if variable.shift:
         return "mm"
+    if variable.delay:
+        return "s"
     return "deg" if variable.turn else diffeed.unit(scene, variable.paths[0])

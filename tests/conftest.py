@@ -6,10 +6,11 @@ from pathlib import Path
 import jax
 import matplotlib
 import pytest
+from matplotlib import pyplot
 
 from diffeed import tuning
 
-tuning.compile_quickly()  # as the command line does; flags that are given in XLA_FLAGS stay
+tuning.compile_plainly()  # most tests run a program once; flags that are given in XLA_FLAGS stay
 # A command called in this process would set it for all processes that are started later.
 tuning.use_one_core = lambda: None
 jax.config.update("jax_enable_x64", True)
@@ -48,6 +49,13 @@ def _forget_compiled_programs():
     if maps.exists() and len(maps.read_text().splitlines()) > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def _closed_figures():
+    """What one test draws is not counted by the next."""
+    yield
+    pyplot.close("all")
 
 
 @pytest.fixture

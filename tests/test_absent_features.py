@@ -39,6 +39,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_absent_is_zero_and_costs_less(name):
     absent, zero = CASES[name]

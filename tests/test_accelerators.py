@@ -23,6 +23,7 @@ def chosen_steps(scene):
     return diffeed.simulate(scene, duration=1e-3, tolerance=1e-2, most_steps=100, frames=2).ok
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("platform", ["cuda", "rocm", "tpu"])
 @pytest.mark.parametrize("function", [run, slope, chosen_steps])
 def test_programs_are_lowered_for_accelerators(function, platform):

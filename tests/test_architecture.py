@@ -19,8 +19,8 @@ RANKS = """
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
     chain: state system sums kinematics dense elimination solve
-    contact: features bodies kept near sweep roller_pairs crossing stick watched candidates
-    forces: terms sheet loads clamps contacts rollers assemble energy
+    contact: features profile bodies kept near sweep gained roller_pairs crossing stick watched candidates
+    forces: terms sheet loads clamps contacts rollers assemble landing energy
     faults: causes balance overshoot judge
     steppers: advance linear_euler extrapolated_euler runge_kutta midpoint
     readings: trajectory snapshot spans observe frames margin verdict agreement

@@ -116,6 +116,7 @@ def test_the_reference_differs_from_itself_by_nothing(swept):
     assert same.errors == {"lead": 0.0, "slip": 0.0, "force": 0.0}
 
 
+@pytest.mark.long
 def test_half_the_step_halves_the_difference_to_a_fine_run(tiny):
     """Order one on a scene without impacts: against a run so fine that its own error does not count."""
     runs = [
@@ -177,6 +178,7 @@ def test_a_run_that_fails_says_when_and_why(tiny):
     assert row.reason.startswith("at 0.0")
 
 
+@pytest.mark.long
 def test_no_reference_is_told_and_the_rows_remain(tiny):
     fast = diffeed.put(tiny, "sheets.strip.speed", 1e9)
     found = fronts.front(fast, settings=[Setting("step", "linear_euler", 1e-3)], frames=3, fewest=1)
@@ -450,6 +452,7 @@ def test_the_sheet_of_a_transport_path_moves_on():
     assert float(moved) == pytest.approx(transport.SPEED * 0.05, rel=0.01)
 
 
+@pytest.mark.long
 def test_batches_hold_samples_that_differ(tiny):
     many = batch.samples(tiny, 3)
     assert many.sheets["strip"].youngs_modulus.tolist() == [1980.0, 2000.0, 2020.0]

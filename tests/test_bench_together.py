@@ -207,6 +207,7 @@ def test_ramped_shafts_come_up_to_their_speeds():
     assert roughness.ramped(scene).rollers["pinch_1"].angular_speed is None
 
 
+@pytest.mark.long
 def test_a_smooth_run_has_its_trend_and_no_scatter():
     """A sheet that flies: its lead edge goes 0.02 s for each mm/s, and nothing else happens."""
     sheet = diffeed.Sheet(
@@ -221,6 +222,7 @@ def test_a_smooth_run_has_its_trend_and_no_scatter():
     assert max(r["scatter_um"] for r in rows) < 1e-6
 
 
+@pytest.mark.long
 def test_the_roller_carries_what_drags_the_sheet():
     """Sound with either skin; and at rest the normal forces of a wrap add up to the pull times its angle, pi/3 (capstan): half a
     newton more of drag is pi/6 on the roller. Where each bar touches makes 0.7 % with 80 bars, 4 % with 40."""
@@ -247,6 +249,7 @@ def test_every_pull_on_a_wrap_finds_its_rest():
     assert np.max(np.ptp(rests.x, axis=0)) < 0.2
 
 
+@pytest.mark.long
 def test_a_wrap_of_many_bars_finds_its_rest():
     """Bars of 1 mm weigh 5 mg: a way of 1e-12 mm makes them flicker, and only steps shorter than 10 us take them past a
     friction that lets go. A search that refuses the one, or takes no step as short as the other, finds nothing."""

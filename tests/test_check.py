@@ -255,7 +255,8 @@ def test_a_soft_roller_may_give_way_at_rest():
     assert all("it must be less than 1.55 mm: a stiffer contact or less force" in p for p in problems)
     (problem,) = pressed(500.0, None)
     assert problem.startswith(
-        "no rest state was found from which to start: look for a sheet or a pinch that nothing stops"
+        "no rest state was found from which to start: look for a sheet or a pinch that nothing stops, for clamps that hold one"
+        " thing twice, and for a mass"
     )
 
 

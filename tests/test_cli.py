@@ -162,6 +162,7 @@ def test_the_summary_says_what_was_run(finished, place):
     assert (place / "cache/diffeed/xla").is_dir()
 
 
+@pytest.mark.long
 def test_a_changed_machine_is_held_against_the_run_before(finished, place):
     done = command(
         place, "run", "mini.toml", "--frames", "13", "--set", "rollers.pinch.preload=6", "--out", "results/second",
@@ -232,6 +233,7 @@ def test_results_that_are_not_whole_are_refused(finished, place, tmp_path, harm,
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.long
 def test_a_run_in_pieces_is_the_single_run(finished, place):
     scene = diffeed.load_scene(place / "results/first/scene.toml")
     assert float(scene.rollers["drive"].radius) == 10.05
@@ -246,6 +248,7 @@ def test_a_run_in_pieces_is_the_single_run(finished, place):
         assert data["sheets.strip.headings"].shape == data["sheets.strip.rates"].shape == (13, 4)
 
 
+@pytest.mark.long
 def test_a_run_that_diverges_says_where_and_what_to_try(place):
     done = command(place, "run", "through.toml", "--out", "broken")
     assert done.returncode == 1
@@ -425,6 +428,7 @@ def test_results_are_not_overwritten_without_force(tmp_path):
     assert (tmp_path / "data.npz").read_text() == "precious"
 
 
+@pytest.mark.long
 def test_steps_by_their_error(tmp_path):
     """`--tolerance` reaches the run, says so in the summary, and is refused where it makes no sense."""
     scene = tmp_path / "mini.toml"
@@ -584,6 +588,7 @@ def test_steps_too_long_for_the_energy_are_told():
     assert report._unbalanced({"work of drives": 100.0, "numerical": 15.0}) == ""
     assert "too long" in report._unbalanced({"work of drives": 100.0, "numerical": -237.0})
     assert report._unbalanced({"work of drives": 0.0, "numerical": 1.0}) == ""
+    assert "too long" in report._unbalanced({"work of drives": 0.0, "lost in friction": 0.2, "numerical": -0.1})
 
 
 def test_a_tolerance_is_said_to_be_that_of_a_step():

@@ -34,6 +34,7 @@ def converged(rest) -> np.ndarray:
     return np.asarray(lead(FEEDER, method="extrapolated_euler", tolerance=1e-6, initial=rest, **SHORT))
 
 
+@pytest.mark.long
 def test_agrees_with_equal_steps_and_beats_them_at_the_same_number(rest, converged):
     def error(dt: float) -> float:
         return float(np.max(np.abs(np.asarray(lead(FEEDER, duration=0.02, dt=dt, frames=5, initial=rest)) - converged)))
@@ -45,6 +46,7 @@ def test_agrees_with_equal_steps_and_beats_them_at_the_same_number(rest, converg
     assert chosen < 0.3 * error(0.02 / (3 * int(run.steps)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stepper", ESTIMATING)
 def test_error_falls_with_the_tolerance(stepper, rest, converged):
     """Steps go as the square root of the tolerance (the error of a step of order one is h^2), and so does the error at the
@@ -258,6 +260,7 @@ def test_a_short_pulse_of_a_drive_is_not_stepped_over(tolerance):
     assert float(run.sheets["a"].nodes[-1, 0, 0]) - 20.0 == pytest.approx(0.2428, abs=0.02)
 
 
+@pytest.mark.long
 def test_what_is_fed_does_not_depend_on_how_long_the_steps_are():
     """Run up to 400 mm/s in 50 ms, then 50 ms at that speed: 30 mm, in steps from 1 us to 2 ms."""
     scene = _nip_driven_by(diffeed.Profile(times=(0.0, 0.05), values=(0.0, -400.0)), 0.1)
@@ -267,3 +270,140 @@ def test_what_is_fed_does_not_depend_on_how_long_the_steps_are():
     assert float(feed.fed) == pytest.approx(30.0, abs=1e-3)
     assert float(feed.commanded) == pytest.approx(30.0, abs=1e-6)
     assert float(run.observed["nips"]["drive"].contact_time) == pytest.approx(0.1, rel=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_steps_that_end_at_corners_go_along_with_them(mode):
+    """Of a pulse of a drive, a step or two long at this tolerance: what is fed by a later start, peak and end. With ends held
+    fixed it is -1000, 500 and 879 by the first two of these steps. The sheet slips; what it does depends on steps by 5 %."""
+    corners = jnp.array([0.1003, 0.1006, 0.1009])
+
+    def fed(corners):
+        profile = diffeed.Profile(times=jnp.concatenate([jnp.zeros(1), corners]), values=(0.0, 0.0, -1000.0, 0.0))
+        run = diffeed.simulate(
+            _nip_driven_by(profile, 0.2),
+            frames=3,
+            observe=("feed",),
+            tolerance=1e-2,
+            method="extrapolated_euler",
+            most_steps=400,
+        )
+        return jnp.stack([run.observed["feed"]["a"].commanded, -8.0 * run.rollers["drive"].angle[-1]])
+
+    np.testing.assert_allclose(jax.jit(mode(fed))(corners), np.array([[-500.0, 0.0, 500.0]] * 2), atol=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("frames", [3, 8])
+def test_where_a_frame_ends_at_a_corner_places_are_those_at_its_time(frames):
+    """Run up to 400 mm/s from 0 until a corner at 0.05 s, with a frame at that time and without: by a later one 200 mm/s less is
+    fed in all, and until there: the way up to a given time goes as its square over the time of running up."""
+
+    def fed(corner):
+        profile = diffeed.Profile(times=jnp.stack([jnp.zeros(()), corner]), values=(0.0, -400.0))
+        run = diffeed.simulate(
+            _nip_driven_by(profile, 0.1), frames=frames, tolerance=1e-4, method="extrapolated_euler", most_steps=4000
+        )
+        return run.sheets["a"].nodes[:, 0, 0], -8.0 * run.rollers["drive"].angle
+
+    nodes, angles = jax.jit(jax.jacfwd(fed))(0.05)
+    times = np.linspace(0.0, 0.1, frames)
+    wanted = np.where(times <= 0.05, -200.0 * (times / 0.05) ** 2, -200.0)
+    np.testing.assert_allclose(angles, wanted, atol=1e-6)
+    np.testing.assert_allclose(nodes, wanted, atol=0.1)  # it slips while it is accelerated, by its steps
+
+
+def _lift(start, lasting) -> diffeed.Motion:
+    """By 2.5 mm."""
+    return diffeed.Motion(
+        times=jnp.stack([jnp.zeros(()), start, start + lasting]),
+        displacement=((0.0, 0.0), (0.0, 0.0), (0.0, 2.5)),
+        rotation=(0.0, 0.0, 0.0),
+    )
+
+
+@pytest.mark.long
+def test_a_guide_that_moves_later_is_later():
+    """A table lifts a sheet at 50 mm/s from 0.05 to 0.1 s, times of two frames: by a later movement it is lower on the way."""
+
+    def height(start):
+        motion = _lift(start, 0.05)
+        table = diffeed.LineGuide(start=(-60.0, 0.0), end=(60.0, 0.0), motion=motion)
+        sheet = diffeed.Sheet(
+            length=60.0, thickness=0.2, width=30.0, density=1e-6, youngs_modulus=3000.0, bars=3, lead=(20.0, 0.1)
+        )
+        scene = diffeed.scene(sheets={"a": sheet}, guides={"table": table}, initial="settled")
+        run = diffeed.simulate(scene, duration=0.15, frames=7, tolerance=1e-3, most_steps=2000)
+        return jnp.mean(run.sheets["a"].nodes[:, :, 1], axis=1)
+
+    slopes = jax.jit(jax.jacfwd(height))(0.05)
+    # In 2 ms steps it follows the table by a tenth of a millimetre late, and so do the slopes by 1 %.
+    np.testing.assert_allclose(slopes, [0.0, 0.0, 0.0, -50.0, -50.0, 0.0, 0.0], atol=1.0)
+
+
+def test_a_clamp_that_moves_later_is_later():
+    """It lifts a sheet by 2.5 mm in 50.1 ms from 50.3 ms on; frames do not end at its corners."""
+
+    def height(start):
+        motion = _lift(start, 0.0501)
+        sheet = diffeed.Sheet(length=60.0, thickness=0.2, width=30.0, density=1e-6, youngs_modulus=3000.0, bars=3,
+                              lead=(20.0, 0.1), structural_damping=1e-3)  # fmt: skip
+        clamp = diffeed.Clamp(sheet="a", at=2, kind="bar", motion=motion)
+        scene = diffeed.scene(sheets={"a": sheet}, clamps={"arm": clamp}, gravity=(0.0, 0.0), initial="given")
+        run = diffeed.simulate(scene, duration=0.15, frames=7, tolerance=1e-3, most_steps=1500)
+        return run.sheets["a"].nodes[:, 2, 1]
+
+    speed = 2.5 / 0.0501
+    slopes = jax.jit(jax.jacfwd(height))(0.0503)
+    np.testing.assert_allclose(slopes, [0.0, 0.0, 0.0, -speed, -speed, 0.0, 0.0], atol=1e-3)  # a clamp is no spring
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("together", [True, False])
+def test_a_corner_that_another_drive_shares_or_repeats(together):
+    """Another drive has a shorter profile, whose last point is at the first corner of the pulse and stands there three times for
+    the arrays. It counts once, and changes nothing where it moves along. Alone, half the step goes along: 6 % off by unlike
+    steps."""
+    corners = jnp.array([0.1003, 0.1006, 0.1009])
+
+    def fed(first):
+        moved = corners.at[0].set(first)
+        pulse = diffeed.Profile(times=jnp.concatenate([jnp.zeros(1), moved]), values=(0.0, 0.0, -1000.0, 0.0))
+        shorter = diffeed.Profile(
+            times=jnp.stack([jnp.zeros(()), first if together else corners[0]]), values=(0.0, 9.0)
+        )
+        far = diffeed.FixedRoller(center=(0.0, -80.0), radius=8.0, surface_speed=shorter)
+        scene = _nip_driven_by(pulse, 0.2)
+        scene = diffeed.scene(**vars(replace(scene, rollers=scene.rollers | {"far": far})))
+        how = {"tolerance": 1e-2, "method": "extrapolated_euler", "most_steps": 400}
+        return diffeed.simulate(scene, frames=3, observe=("feed",), **how).observed["feed"]["a"].commanded
+
+    slope = float(jax.jit(jax.jacfwd(fed))(corners[0]))
+    assert slope == pytest.approx(-500.0, abs=1e-6) if together else slope == pytest.approx(-562.5, abs=0.1)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::diffeed.SinglePrecision")
+def test_a_replay_that_loses_its_run_says_so():
+    """In single precision the steps found are not always stepped again: what is differentiated then stood still."""
+    with jax.enable_x64(False):
+
+        def fed(start):
+            times = jnp.stack([jnp.zeros(()), start, jnp.asarray(0.1006), jnp.asarray(0.1009)])
+            scene = _nip_driven_by(diffeed.Profile(times=times, values=(0.0, 0.0, -1000.0, 0.0)), 0.2)
+            how = {"tolerance": 1e-2, "method": "extrapolated_euler", "most_steps": 400}
+            run = diffeed.simulate(scene, frames=3, **how)
+            return -8.0 * run.rollers["drive"].angle[-1], run.ok
+
+        (turned, ok), (slope, _) = jax.jvp(fed, (jnp.asarray(0.1003),), (jnp.asarray(1.0),))
+    # Where it holds, it is right by the roundings of some hundred steps.
+    assert not ok or (float(turned), float(slope)) == pytest.approx((0.3, -500.0), rel=1e-2)
+
+
+@pytest.mark.long
+def test_a_corner_a_rounding_before_a_frame_leaves_no_stub():
+    """The fourth frame is at 0.30000000000000004 s. With this longest step the last step of a block ends at 0.3."""
+    scene = _nip_driven_by(diffeed.Profile(times=(0.0, 0.3), values=(0.0, -400.0)), 0.4)
+    run = diffeed.simulate(scene, frames=5, dt=0.00192, tolerance=0.1)
+    assert run.ok, run.failure.describe()

@@ -41,6 +41,7 @@ REFUSED = {EXPLICIT: ("friction 5", "friction 50", "friction 1000", "fast, 1e-3"
 """Rows whose step `check` refuses, or that fail."""
 
 
+@pytest.mark.long
 @EACH
 def test_every_run_has_a_finite_gradient(method):
     for name, run in ex.contacts(method).items():

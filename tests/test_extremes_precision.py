@@ -29,6 +29,7 @@ def single(rows: str, method: str) -> dict[str, Run]:
         return ex.run(getattr(ex, rows)(), method)
 
 
+@pytest.mark.long
 @ex.by_method(FIRST_ORDER)
 def test_two_bars_in_float32(method):
     """Every row as in float64, but for three digits; gradients finite."""

@@ -222,6 +222,7 @@ def cards(method: str) -> dict[str, Run]:
     )
 
 
+@pytest.mark.long
 @ex.by_method(FIRST_ORDER, of=IMPLICIT)
 def test_card_comes_to_rest_in_its_static_shape(method):
     """Joint torques are small differences of large numbers here. Steps are 1.3 times the explicit limit without damping, and

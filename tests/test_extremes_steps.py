@@ -23,6 +23,7 @@ FIRST_ORDER = "linear_euler"
 # --- too long ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @ex.by_method(FIRST_ORDER)
 def test_the_film_feeder_in_steps_of_10_ms_fails_and_says_what_helps(method):
     """A whole nip is 13 mm of feeding away, contacts are 0.01 mm deep: nothing in between can be right."""

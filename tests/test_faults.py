@@ -32,6 +32,7 @@ from diffeed.faults.causes import (
     LEAPT,
     NO_REST,
     NOT_FINITE,
+    OUT_OF_ORDER,
     REMEDIES,
     SINGULAR,
     TOO_DEEP,
@@ -106,6 +107,7 @@ def test_pushed_deeper_than_a_body_allows(guide, method):
     assert bool(diffeed.simulate(pressed(guide, 1.0), duration=0.02, dt=1e-5, frames=3, method=method).ok)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_approach_too_fast_to_be_resolved(method):
     """At 20 m/s a step of 1e-4 s moves 2 mm, of 2.5 mm that the post allows, half may be made in a step; at 5 m/s 0.5 mm."""
@@ -151,11 +153,11 @@ def test_a_step_of_ten_milliseconds_is_refused(method):
         assert bool(diffeed.simulate(machine(strip()), duration=0.1, dt=5e-3, frames=3, method=method).ok)
 
 
-def bouncing(stiffness):
+def bouncing(stiffness, **changes):
     """A strip that rests on a floor, undamped."""
     contact = Contact(stiffness=stiffness, damping=0.0, smoothing=1e-4, friction_law="none")
     floor = LineGuide(start=(-50.0, 0.0), end=(50.0, 0.0))
-    return machine(strip(lead=(10.0, 0.2501), youngs_modulus=0.0), contact, guides={"floor": floor})
+    return machine(strip(lead=(10.0, 0.2501), youngs_modulus=0.0, **changes), contact, guides={"floor": floor})
 
 
 def test_energy_from_nowhere():
@@ -221,16 +223,47 @@ def test_a_start_from_a_rest_that_was_not_found(clamps):
     assert run.failure.describe() == f"at 0 s: {CAUSES[NO_REST]}"
 
 
+@pytest.mark.long
+def test_times_that_pass_each_other_in_a_batch():
+    """Numbers that are traced are not refused: of three samples only the one whose stop comes before its start is impossible.
+    Alike with chosen steps, for a drive and for a guide that moves."""
+
+    def run(stop, **how):
+        times = jnp.stack([jnp.asarray(0.0), jnp.asarray(0.004), stop])
+        motion = Motion(times=times, displacement=((0.0, 0.0), (0.0, 0.0), (0.0, -1.0)), rotation=(0.0, 0.0, 0.0))
+        far = {"floor": LineGuide(start=(-50.0, -40.0), end=(50.0, -40.0), motion=motion)}
+        turning = diffeed.Profile(times=times, values=(0.0, 0.0, 30.0))
+        drive = {"drive": FixedRoller(center=(0.0, 40.0), radius=5.0, angular_speed=turning)}
+        scene = machine(strip(), gravity=(0.0, 0.0), **({"guides": far} if how else {"rollers": drive}))
+        return diffeed.simulate(scene, duration=0.01, frames=3, **how)
+
+    for how in ({}, {"tolerance": 1e-3, "most_steps": 200}):
+        runs = jax.vmap(lambda stop, how=how: run(stop, **how))(jnp.array([0.008, 0.003, 0.02]))
+        assert runs.ok.tolist() == [True, False, True]
+        failed(jax.tree.map(lambda v: v[1], runs), OUT_OF_ORDER)
+        assert float(runs.failure.time[1]) == 0.0
+        assert int(runs.failure.part[1]) == -1
+
+
+@pytest.mark.long
 def test_what_was_observed_of_energy_from_nowhere_is_taken_back():
-    """Of the block of steps that is not believed: what is observed ends where the state does."""
-    run = diffeed.simulate(
-        bouncing(3e4), duration=0.02, dt=2e-5, frames=3, method="runge_kutta", observe=("feed", "energy")
-    )
-    failed(run, FROM_NOWHERE)
-    end = float(run.final.state.time)
-    assert end < float(run.failure.time)
-    assert float(run.final.open["energy"].time) <= end
-    assert float(run.error) < 1e-2
+    """Of the block of steps that is not believed: all is as in a run that ends where that block began."""
+
+    def run(duration: float, frames: int) -> diffeed.Trajectory:
+        seen = ("feed", "energy")
+        return diffeed.simulate(
+            bouncing(3e4, speed=50.0), duration=duration, dt=2e-5, frames=frames, method="runge_kutta", observe=seen
+        )
+
+    whole = run(0.02, 3)
+    failed(whole, FROM_NOWHERE)
+    end = float(whole.final.state.time)
+    assert 0.0 < end < float(whole.failure.time)
+    shorter = run(end, 2)
+    assert bool(shorter.ok)
+    assert float(whole.final.open["feed"].fed[0]) > 0.01
+    ours, theirs = ((r.final.state, r.final.open, r.final.error, r.final.half) for r in (whole, shorter))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), ours, theirs)
 
 
 @pytest.mark.filterwarnings("ignore::diffeed.SinglePrecision")
@@ -269,6 +302,7 @@ TURNED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", UPWARDS)
 def test_a_sheet_that_comes_behind_a_guide_past_its_end(kind):
     """It slides under the guide's rounded end without touching it, into where the guide would throw it out."""
@@ -287,6 +321,7 @@ def test_a_sheet_that_comes_behind_a_guide_past_its_end(kind):
     assert any(p.startswith("guides.roof: a bar lies behind its face at the start") for p in diffeed.check(scene))
 
 
+@pytest.mark.long
 def test_a_sheet_over_the_edge_of_a_table_is_not_behind_it():
     """Most of it beyond the edge: it tips over and slides down around the rounded end."""
     table = LineGuide(start=(-100.0, 0.0), end=(0.0, 0.0))
@@ -303,6 +338,7 @@ def test_a_long_bar_that_enters_an_arc_is_not_across_it():
     assert not diffeed.check(machine(strip(lead=(1.0, 0.0)), guides={"floor": floor, "turn": turn}))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_crossing_is_what_plain_geometry_says(seed):
     """Random bars against a line and arcs of both sides; some cross, some do not."""
@@ -347,6 +383,7 @@ def test_each_sample_of_a_batch_by_itself():
     np.testing.assert_array_equal(runs.sheets["strip"].nodes[0], alone.sheets["strip"].nodes)
 
 
+@pytest.mark.long
 def test_what_the_checks_find_has_no_derivative():
     """Nothing of them is carried through a gradient, which would pay for it."""
 
@@ -369,6 +406,7 @@ def test_a_run_goes_on_with_its_book():
     assert float(second.failure.time) == float(whole.failure.time)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_a_guide_that_strikes_puts_energy_in(method):
     """A post that comes at 2 m/s hits a sheet at rest within one step, in which no work is seen: no fault."""
@@ -381,6 +419,7 @@ def test_a_guide_that_strikes_puts_energy_in(method):
     assert float(run.states.vy[-1, 0]) > 500.0
 
 
+@pytest.mark.long
 def test_a_driven_roller_puts_energy_in():
     """A sheet that a roller sets going gains energy from the shaft, not from nowhere."""
     rollers = {

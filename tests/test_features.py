@@ -26,6 +26,7 @@ def paper(length: float = 40.0, bars: int = 4, **changes) -> Sheet:
     return Sheet(**(PAPER | {"length": length, "bars": bars, "structural_damping": 1e-4} | changes))
 
 
+@pytest.mark.long
 def test_a_swinging_guide_lifts_the_sheet_that_lies_on_it():
     """A table under a whole sheet turns by 5 degrees about its left end within 50 ms; the sheet goes with it."""
     table = LineGuide(
@@ -212,6 +213,7 @@ def test_a_wall_holds_a_curled_sheet_by_its_tangent(at):
     assert off[1] == pytest.approx(0.25 * off[0], rel=0.02)
 
 
+@pytest.mark.long
 def test_an_arm_that_turns_does_not_turn_idle_rollers():
     """Their bearings have no drag: each is turned about its own centre, and the sheet that lies on them stays. With drag they
     follow the arm."""

@@ -273,6 +273,7 @@ def test_a_summary_goes_before_a_search_goes_on(tmp_path, problem):
     assert not (tmp_path / "result.json").exists()
 
 
+@pytest.mark.long
 def test_a_search_that_ended_before_its_result_was_written_is_not_searched_on(tmp_path, problem):
     """Found by the killer: an iteration more, and another result. New budgets ask for more, and only they."""
     from optimize import descent

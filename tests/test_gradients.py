@@ -38,6 +38,7 @@ def test_both_modes_agree_and_a_scene_of_derivatives_holds_the_same():
     assert float(kept["forward"][1][PATHS[0]]) == pytest.approx(0.8, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_step_that_is_computed_again_is_not_judged_again():
     """Only a verdict asks whether speeds are finite."""
 
@@ -144,6 +145,7 @@ def test_the_first_bad_step_pair_and_term_are_named(monkeypatch):
     assert found.part in found.sentence()
 
 
+@pytest.mark.long
 def test_a_guide_that_nothing_has_reached_has_a_gap_with_a_gradient():
     scene = diffeed.put(nip(), "guides", {"wall": diffeed.LineGuide(start=(30.0, -5.0), end=(30.0, 5.0))})
     scene = diffeed.scene(**vars(scene))

@@ -53,6 +53,7 @@ def test_a_faster_second_nip_pulls_and_a_slower_one_pushes():
     assert float(pulled.tension_peak) < 1.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [name for name in diffeed.METHODS if name != "linear_euler"])
 def test_every_stepper_says_what_the_sheet_carries(method):
     """Explicit steps do not need the pull of the joints for themselves: they said none."""
@@ -87,6 +88,7 @@ def test_margins_must_be_observed():
         measures.jam_margins(scene, bare)
 
 
+@pytest.mark.long
 def test_a_span_counts_once_however_many_rollers_hold_its_ends():
     """Pulled evenly the peak is the tension itself: of one span held by a drive on either side of the sheet, of two in a row."""
     film = {"thickness": 0.1, "width": 200.0, "density": 1e-6, "youngs_modulus": 3000.0, "structural_damping": 1e-4}
@@ -110,6 +112,7 @@ def test_a_span_counts_once_however_many_rollers_hold_its_ends():
     assert ratio((33.0, 73.0, 113.0), (100.4, 100.2, 100.0), False) == pytest.approx(1.0, abs=0.04)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("speed", "goal", "way"), [(200.0, -10.0, 1.0), (-200.0, -41.0, -1.0)])
 def test_progress_agrees_with_the_verdict(speed, goal, way):
     """Where the sheet lies in the gate at the start, and where it runs tail first: what the tail has still to go counts."""

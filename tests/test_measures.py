@@ -87,6 +87,7 @@ def test_creep_floor_is_the_inverse_of_the_law(run):
     assert float(measures.slip(nip(), run)["drive"].floor) == floor
 
 
+@pytest.mark.long
 def test_creep_floor_where_friction_falls_with_speed():
     """All that this nip slips under a steady drag is creep, and the floor says so."""
     scene = nip(
@@ -101,6 +102,7 @@ def test_creep_floor_where_friction_falls_with_speed():
     assert float(found.rms) == pytest.approx(float(found.floor), rel=2e-3)
 
 
+@pytest.mark.long
 def test_a_joined_end_is_not_met():
     """The gap to a guide that begins where another ends is that of its face: the tip between them touches nothing."""
     drop = 60.0 * np.tan(np.deg2rad(5.0))
@@ -117,6 +119,7 @@ def test_a_joined_end_is_not_met():
     assert float(jnp.min(pairs.gap[:, [n == "b" for n in pairs.bodies]])) == pytest.approx(seen, abs=1e-9)
 
 
+@pytest.mark.long
 def test_rollers_that_meet_no_sheet_have_no_torque_of_one():
     aside = nip(sheets={"a": Sheet(length=40.0, bars=4, lead=(200.0, 60.0), **FILM)}, guides={}, gravity=(0.0, 0.0))
     run = diffeed.simulate(aside, dt=1e-4, frames=3, observe=("nips",))
@@ -125,6 +128,7 @@ def test_rollers_that_meet_no_sheet_have_no_torque_of_one():
     assert float(run.rollers["pinch"].angular_velocity[-1]) > 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slick", ["drive", "pinch"])
 def test_a_roller_without_friction_turns_no_other(slick):
     """Whichever of the two has the law "none"."""
@@ -135,6 +139,7 @@ def test_a_roller_without_friction_turns_no_other(slick):
     assert np.all(np.asarray(run.rollers["pinch"].angular_velocity) == 0.0)
 
 
+@pytest.mark.long
 def test_drag_shows_as_friction_and_torque():
     """A load of 0.5 N against the feed: the nip pulls with it, and the drive's contact torque is that times its radius."""
     load = {"drag": diffeed.Load(sheet="a", at="tail", force=(-0.5, 0.0))}
@@ -159,6 +164,7 @@ def test_energy_balance_closes_as_the_step_shrinks():
     assert gaps[1] < 0.1
 
 
+@pytest.mark.long
 def test_the_energy_balance_of_a_run_that_goes_on_is_that_of_the_whole():
     asked = {"dt": 1e-4, "observe": ("energy",)}
     whole = diffeed.simulate(nip(), duration=0.04, frames=5, **asked)
@@ -217,6 +223,7 @@ def test_curvature_of_a_circle():
     assert float(run.observed["curvature"]["a"]) == pytest.approx(0.01, rel=1e-3)
 
 
+@pytest.mark.long
 def test_observations_must_be_asked_for(run):
     bare = diffeed.simulate(nip(), duration=0.01, dt=1e-3, frames=2)
     with pytest.raises(ValueError, match=r'observe=\("nips",\)'):
@@ -243,6 +250,7 @@ VERDICTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", VERDICTS)
 def test_verdicts(case):
     scene, status, fragment = VERDICTS[case]
@@ -255,6 +263,7 @@ def test_verdicts(case):
     assert fragment in verdict.sentence()
 
 
+@pytest.mark.long
 def test_two_drives_against_each_other_are_told():
     """The second turns the other way: the sheet stalls between them, or is torn about."""
     first = nip().rollers

@@ -33,6 +33,7 @@ SCENES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("method", ["linear_euler", "runge_kutta"])
 def test_observers_see_what_a_full_look_shows(name: str, method: str):

@@ -14,6 +14,7 @@ from stand_in_nip import nip
 
 import diffeed
 import optimize
+from diffeed.base.terminal import once_more
 from optimize.cli import main
 from optimize.study_file import read_table
 
@@ -181,3 +182,18 @@ def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch, command, run
     assert (done.exit_code, type(done.exception)) == (2, SystemExit)
     assert f"the results were not written to {out}: No space left on device" in done.output.replace("\n", " ")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("raised", "said"), [(KeyboardInterrupt, "stopped by Ctrl-C"), (ValueError("too short"), "too short")]
+)
+def test_what_cannot_be_confirmed_is_no_failure(capsys, raised, said):
+    def find():
+        raise raised
+
+    assert once_more("both", find) is None
+    assert (
+        capsys.readouterr().err
+        == f"both once more, with shorter steps (--once leaves that out)\nnot confirmed: {said}\n"
+    )
+    assert once_more("both", lambda: 3) == 3

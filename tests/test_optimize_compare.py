@@ -7,7 +7,7 @@ import pytest
 from test_optimize_search import problem_of
 
 from optimize import compare
-from optimize.compare import Comparison, Trace, reached, table, write_comparison
+from optimize.compare import Comparison, Trace, picture, reached, table, write_comparison
 from optimize.evaluate import Counts
 
 GRADIENT = Trace("gradient", np.array([1.0, 5.0, 10.0]), np.array([10.0, 5.0, 1.0]))
@@ -57,6 +57,15 @@ def test_the_gradient_pays_for_all_its_runs(monkeypatch):
 
 
 # --- searches that find nothing -----------------------------------------------------------------------------------------
+
+
+def test_the_best_of_all_comes_down_to_the_axis():
+    """Two of three found 1: their curves end at the bottom; a logarithm alone would leave out that they did."""
+    drawn = picture(FOUND)
+    ends = {line.get_label(): line.get_ydata()[-1] for line in drawn.lines}
+    assert ends["gradient"] == ends["Nelder-Mead"] >= drawn.get_ylim()[0]
+    assert ends["gradient"] < ends["target 1.02"] < ends["differential evolution"] == 1.0
+    assert drawn.get_title(loc="left") == "At the bottom: the best found, 1"
 
 
 def ended(*bests):

@@ -12,7 +12,7 @@ import optimize
 from diffeed import measures
 from optimize.asked import by_limit
 from optimize.descent import begin
-from optimize.design_run import Result, Scored
+from optimize.design_run import Result, Scored, _margins
 from optimize.evaluate import Evaluator
 from optimize.journal import fingerprint
 from optimize.problem import Seen, Settings, _over_samples, make_problem
@@ -72,6 +72,11 @@ def test_a_limit_is_broken_by_what_ranks_the_points(over, violation, told):
     (line,) = (line for line in text.getvalue().splitlines() if "8 machines that scatter" in line)
     assert words in line
     assert summarise(Result(study, point, point, begin(study), [], ""))["after"]["keeps_limits"] == (not told)
+
+
+def test_where_machines_scatter_no_part_of_a_margin_binds():
+    spare = {"spare": {"measure": "jam_margin", "of": "strip", "weight": -1.0}}
+    assert _margins(problem(objective=spare), None, None) == {}
 
 
 @pytest.mark.parametrize(("objective", "told"), [(0.0, True), (0.1, False)])

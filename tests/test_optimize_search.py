@@ -20,7 +20,7 @@ from optimize.design_run import design, finish, score
 from optimize.evaluate import Evaluated, Evaluator
 from optimize.journal import FILES, HISTORY, Journal, JournalError
 from optimize.problem import Seen, Settings, eased, look, make_problem, over_media, simulate
-from optimize.report import print_result, write_result
+from optimize.report import _kept, print_result, write_result
 from optimize.study_file import make_study
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
@@ -46,12 +46,24 @@ def history(folder):
     return [json.loads(line) for line in (folder / HISTORY).read_text("utf-8").splitlines()]
 
 
+def told(result, history=None):
+    """What the command says of a search."""
+    text = io.StringIO()
+    print_result(Console(file=text, width=100), result if history is None else replace(result, history=history))
+    return " ".join(text.getvalue().split())
+
+
+@pytest.mark.long
 def test_adam_finds_the_preload_of_a_wanted_force():
     result = design(problem_of())
     assert result.improved
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.02)
     assert result.reason
     assert result.progress.counts.gradients == result.progress.iteration
+    steps, promised, came = _kept(result)  # a parabola: what is promised is up to twice what comes on the way down
+    assert steps > 5
+    assert 0.3 < came / promised < 1.5
+    assert "promised" not in told(result)
 
 
 def test_a_point_without_a_value_never_wins():
@@ -60,6 +72,7 @@ def test_a_point_without_a_value_never_wins():
     assert min([replace(good, objective=np.nan), good, replace(good, violation=np.nan)], key=lambda s: s.rank) is good
 
 
+@pytest.mark.long
 def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     problem, points = problem_of(), problem_of().start + np.array([[0.0], [0.1]])
     scored = [score(problem, point).objective for point in points]
@@ -70,6 +83,7 @@ def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     assert scored[0] != scored[1]
 
 
+@pytest.mark.long
 def test_when_sensitivity_arises_is_asked_of_the_whole_run(monkeypatch):
     """Of its frames, too: a margin begins where the run does."""
     problem, seen = problem_of(frames=7, objective={"spare": {"measure": "jam_margin", "of": "strip"}}), []
@@ -84,6 +98,7 @@ def test_when_sensitivity_arises_is_asked_of_the_whole_run(monkeypatch):
     np.testing.assert_allclose(seen[0], np.linspace(0.0, 0.01, 7), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_which_part_of_a_margin_binds_is_told():
     """The parts beside the smoothed smallest of them, which is never above the smallest and at most 0.05 log 5 below."""
     problem = problem_of(objective={"spare": {"measure": "jam_margin", "of": "strip", "weight": -1.0}})
@@ -185,6 +200,7 @@ def test_media_are_weighed_and_the_worst_rules():
     assert abs(pulls[0]) > 0.01
 
 
+@pytest.mark.long
 def test_a_start_that_fails_is_rolled_back_and_spares_the_others(monkeypatch):
     problem = problem_of(search={"starts": 3, "iterations": 12})
     whole = Evaluator.gradients
@@ -236,6 +252,7 @@ def test_the_expected_gradient_averages_over_the_tolerance():
     assert found[1].value[0] > found[0].value[0]
 
 
+@pytest.mark.long
 def test_resume_after_a_kill_gives_the_same_iterates(tmp_path):
     whole = design(problem_of(search={"iterations": 9}), tmp_path / "whole")
     problem = problem_of(search={"iterations": 9})
@@ -370,6 +387,7 @@ def test_an_expected_gradient_is_not_lost_where_most_samples_are_flat():
     np.testing.assert_allclose(found[0, :, 0], [0, 0, 0, 0, 0, 1.0, 1.0, evaluate.OUTLIER])
 
 
+@pytest.mark.long
 def test_a_point_at_which_a_machine_fails_is_no_result():
     """As drawn it runs; of six that scatter widely some do not, and what those would give is worth nothing."""
     wild = {
@@ -386,17 +404,33 @@ def test_gradients_that_cannot_be_are_told():
     problem = problem_of(search={"iterations": 2})
     result = design(problem)
     steep = [result.history[0] | {"gradient": 1e26}, *result.history[1:]]
-
-    def told(history):
-        text = io.StringIO()
-        print_result(Console(file=text, width=100), replace(result, history=history))
-        return " ".join(text.getvalue().split())
-
-    assert "In 1 of 2 iterations the gradient promised more than 10000 times the largest objective" in told(steep)
-    assert "promised" not in told(result.history)
-    assert "promised" not in told([line | {"objective": 1e-12} for line in result.history]), "it came near its target"
+    assert "In 1 of 2 iterations the gradient promised more than 10000 times the largest objective" in told(
+        result, steep
+    )
+    assert "promised" not in told(result)
+    near = [line | {"objective": 1e-12} for line in result.history]
+    assert "promised" not in told(result, near), "it came near its target"
 
 
+def test_gradients_that_keep_no_promise_are_told():
+    """Exact slopes of what single time steps do, of which nothing is left over the way that a search goes."""
+    result = design(problem_of(search={"iterations": 1}))
+
+    def history(came, **others):
+        line = result.history[0] | others
+        return [line | {"iteration": k + 1, "loss": 2.0 - came * (k % 2), "promised": -1.0} for k in range(7)]
+
+    assert "Over 6 steps the gradients promised changes of 6 in all, and 0.3 came:" in told(result, history(0.05))
+    assert "promised" not in told(result, history(0.5))
+    assert "promised" not in told(result, history(0.05, objective=1e3)), "too little of it to matter"
+    assert "promised" not in told(result, history(0.05)[:5])
+    assert "promised" not in told(result, [line | {"start": k} for k, line in enumerate(history(0.05))])
+    assert "promised" not in told(result, [line | {"loss": None} for line in history(0.05)])
+    old = [{k: v for k, v in line.items() if k not in ("loss", "promised")} for line in history(0.05)]
+    assert "promised" not in told(result, old)
+
+
+@pytest.mark.long
 def test_slip_is_held_against_the_floor_of_the_law_that_the_run_had():
     """Here a harder one than the machine's, whose own floor lies above all that is slipped."""
     problem = problem_of(objective={"slip": {"measure": "slip", "of": "drive"}})
@@ -467,6 +501,7 @@ def test_the_expected_gradient_is_not_ruled_by_one_sample():
 # --- the result in shorter steps ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dt", "holds"), [(1.25e-4, True), (5e-4, False)])
 def test_a_result_is_held_against_shorter_steps(dt, holds):
     """In steps of 0.5 ms the nip still rings at the end, which the search takes for force: the preload that it finds is worse
@@ -540,6 +575,7 @@ def problem_without_parts():
     return make_problem(make_study(table), scene=scene)
 
 
+@pytest.mark.long
 def test_a_machine_without_rollers_and_guides_has_a_result(tmp_path):
     names = write_result(tmp_path, design(problem_without_parts()))
     assert set(FILES) - set(names) == {"when_before.png"}

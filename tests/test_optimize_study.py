@@ -42,6 +42,29 @@ def test_what_two_variables_or_one_twice_would_move():
         make_study(GOOD | {"variables": {"nip": twice}})
 
 
+TIME = "rollers.drive.angular_speed.times[1]"
+
+
+@pytest.mark.parametrize(
+    ("variables", "said"),
+    [
+        ({"a": {"path": TIME, "bounds": [-0.01, 0.03]}}, "variables.a.bounds: at -0.01, rollers.drive.angular_speed.times"),
+        ({"a": {"path": [TIME, TIME.replace("1]", "0]")], "bounds": [0.0, 0.03]}}, "variables, where the search begins: "),
+        ({"a": {"delay": [TIME], "bounds": [-0.03, 0.01]}}, "variables.a.bounds: at -0.03, rollers.drive.angular_speed.times"),
+        ({"a": {"path": "rollers.drive.radius", "bounds": [-1.0, 6.0]}}, "variables.a.bounds: at -1, rollers.drive.radius"),
+        ({"a": {"delay": ["rollers.drive.radius"], "bounds": [0.0, 1.0]}}, "variables.a: delay must name times of profiles"),
+        ({"a": {"delay": ["sheets.strip.structural_damping"], "bounds": [0.0, 1.0]}}, "variables.a: delay must name times"),
+        (
+            {"a": {"path": TIME, "bounds": [0.01, 0.03]}, "b": {"delay": [TIME[:-3]], "bounds": [0.0, 0.01]}},
+            "variables.b.delay must name other times than variables.a.path, but names rollers.drive.angular_speed.times",
+        ),
+    ],
+)  # fmt: skip
+def test_what_no_scene_can_have_is_refused_before_the_search(variables, said):
+    (problem,) = problems_of(GOOD | {"variables": variables})
+    assert problem.startswith(said)
+
+
 def test_a_tolerance_wider_than_the_room_ends_at_a_bound():
     wide = GOOD["variables"]["preload"] | {"bounds": [0.5, 3.3], "transform": "log", "tolerance": 9.0}
     problem = make_problem(make_study(GOOD | {"variables": {"preload": wide}}), scene=nip())

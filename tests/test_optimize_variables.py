@@ -99,3 +99,16 @@ def test_where_a_variable_starts():
 def test_units():
     scene = nip()
     assert [free.unit_text(scene, v) for v in ALL] == ["mm", "N/mm", "mm", "deg"]
+
+
+def test_times_are_delayed_together():
+    """One time of a profile, or all of a motion; what is moved otherwise stays, and so do the values."""
+    motion = diffeed.Motion(times=[0.1, 0.2], displacement=[[0.0, 0.0], [2.0, 0.0]], rotation=[0.0, 20.0])
+    gate = diffeed.LineGuide(start=(10.0, 0.0), end=(30.0, 0.0), motion=motion)
+    scene = diffeed.scene(**vars(diffeed.put(nip(), "guides", {"gate": gate})))
+    delay = Variable(delay=["guides.gate.motion.times", "rollers.drive.angular_speed.times[1]"], bounds=(-0.01, 0.01))
+    assert (free.start_of(delay, scene), free.unit_text(scene, delay)) == (0.0, "s")
+    later = free.applied(scene, (delay,), jnp.array([0.01]))
+    np.testing.assert_allclose(later.guides["gate"].motion.times, [0.11, 0.21], atol=1e-15)
+    np.testing.assert_allclose(later.rollers["drive"].angular_speed.times, [0.0, 0.03], atol=1e-15)
+    np.testing.assert_array_equal(later.rollers["drive"].angular_speed.values, [0.0, -40.0])

@@ -55,6 +55,7 @@ def judged(found, speed, reads, ratios=RATIOS):
             assert float(speed[k]) == pytest.approx(reads, rel=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["sqrt", "tanh"])
 def test_friction_that_is_regularised(law):
     """A rate of mu N/(M v_s), where classical Runge-Kutta bears 2.785 per step."""
@@ -63,6 +64,7 @@ def test_friction_that_is_regularised(law):
     judged(found, found.sheets["paper"].velocities[:, -1, 0, 0], ex.SPEED)
 
 
+@pytest.mark.long
 def test_a_part_without_friction_hides_nothing():
     """Far away and untouched: it takes no part in the sums."""
     limit, scene = DAMPED * mass() * Contact().stick_speed / held(), feeder()
@@ -71,6 +73,7 @@ def test_a_part_without_friction_hides_nothing():
     judged(found, found.sheets["paper"].velocities[:, -1, 0, 0], ex.SPEED)
 
 
+@pytest.mark.long
 def test_friction_that_sticks():
     """A circular frequency of sqrt(mu N/(M u_s)), where it bears sqrt(8), and the lag's damping on top. Told a little early:
     the lag is added to the swing, though it would hold it back."""
@@ -82,6 +85,7 @@ def test_friction_that_sticks():
     judged(found, found.sheets["paper"].velocities[:, -1, 0, 0], ex.SPEED, ratios)
 
 
+@pytest.mark.long
 def test_an_idler_lighter_than_the_sheet():
     """mu N (1/M + R^2/I)/v_s: of a roller that weighs nearly nothing the sheet itself hardly tells."""
     inertia = 1e-3
@@ -96,6 +100,7 @@ def test_an_idler_lighter_than_the_sheet():
     judged(found, found.states.spin[:, -1, 0] * ex.RADIUS / sheet, 1.0)
 
 
+@pytest.mark.long
 def test_an_idler_on_its_drive():
     """No sheet between: mu N R^2/(I v_s)."""
     inertia, scene = 1e-3, ex.machine(friction=FRICTION, contact=BARE)

@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib import pyplot
 from packed import unpack
 from stand_in import film_feeder, run
 
@@ -111,4 +110,3 @@ def test_a_real_run_can_be_played_and_drawn():
     np.testing.assert_array_equal(unpack(held["sheets"]["film"]["nodes"]), wanted)
     for draw in (plot.machine, plot.slip, plot.paths, plot.nip_forces, plot.sheet_state):
         draw(SCENE, real)
-    pyplot.close("all")

@@ -51,6 +51,14 @@ def compared(tmp_path_factory):
     return write_player(tmp_path_factory.mktemp("compared") / "run.html", SCENE, RUN, compare=pair)
 
 
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory):
+    """Nine guides, two more than there are colours."""
+    more = {f"wall_{k}": dataclasses.replace(SCENE.guides["turn"]) for k in (1, 2)}
+    scene = dataclasses.replace(SCENE, guides=SCENE.guides | more)
+    return write_player(tmp_path_factory.mktemp("crowded") / "run.html", scene, run(scene))
+
+
 @pytest.fixture
 def player(chromium, plain):
     chromium.window(*DESKTOP)
@@ -74,6 +82,17 @@ def test_opens_without_complaints_and_asks_for_nothing(player, plain):
     assert [url for url in player.requests() if not url.startswith("data:")] == [plain.as_uri()]
     assert player.run("document.title") == "Film feeder"
     assert player.run("document.querySelectorAll('#charts .uplot').length") == 3
+
+
+DOTTED = """[...[...document.querySelectorAll('.keys')].pop().querySelectorAll('button')]
+  .filter(key => key.firstChild.style.borderTopStyle === 'dotted').map(key => key.childNodes[1].data)"""
+
+
+def test_the_key_of_a_dotted_curve_is_dotted(player, crowded):
+    """Colours come again after seven parts: what comes after them is dotted, in the chart and in its key."""
+    assert player.run(DOTTED) == []
+    player.open(crowded)
+    assert player.run(DOTTED) == ["wall_1", "wall_2"]
 
 
 def test_play_moves_time_and_pause_stops_it(player):

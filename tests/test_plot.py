@@ -32,12 +32,6 @@ PICTURES = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _closed_figures():
-    yield
-    pyplot.close("all")
-
-
 @pytest.mark.parametrize("name", PICTURES)
 def test_every_axis_has_a_unit(name):
     ax = PICTURES[name](SCENE, RUN)
@@ -207,6 +201,8 @@ def test_a_blame_map_draws_no_gain_that_is_none():
     drawn = blame_map(SCENE, RUN, Blame(12.8, slope, {}))
     assert drawn.get_title(loc="left") == "No gradient to believe: it promises 1e+08 per 0.1 mm of an objective of 12.8"
     assert not [t for t in drawn.texts if "1e+08" in t.get_text()]
+    more = blame_map(SCENE, RUN, Blame(12.8, {k: v * 3e-7 for k, v in slope.items()}, {})).get_title(loc="left")
+    assert more.endswith("(more than the whole objective, 12.8: directions at most, no amounts)")
     near = blame_map(SCENE, RUN, Blame(1e-9, {k: v * 1e-9 for k, v in slope.items()}, {}), size=12.8)
     assert near.get_title(loc="left").startswith("Which way to move what"), "near its least an objective is small"
 

@@ -99,6 +99,7 @@ def _with_velocities(scene: Scene, states, frame: int) -> Scene:
 
 # A reversible method would come back to rounding; an explicit one of order four loses O(dt^4 T), here at a step where
 # that is below 1e-8 (free) and 1e-6 (contact, exponent 2).
+@pytest.mark.long
 @pytest.mark.parametrize("method", HIGH_ORDER)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_time_runs_backwards_too(method, seed):
@@ -126,6 +127,7 @@ def test_way_back_is_missed_by_the_order_of_the_method(method):
 # --- momentum --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_momentum_of_a_free_sheet(method, seed):
@@ -159,6 +161,7 @@ def test_momentum_comes_from_contact_forces_and_weight(seed):
     assert fine < 0.5 * coarse
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_rollers_feel_what_sheets_feel(method, seed):
@@ -219,6 +222,7 @@ def test_energy_is_kept_without_losses(method, seed):
         assert np.max(np.abs(energy - energy[0])) < 1e-6 * np.abs(energy[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_energy_error_falls_with_the_order(method):
     errors = []

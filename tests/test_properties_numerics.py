@@ -66,6 +66,7 @@ def _forces_both_ways(scene: Scene, span):
     return [jnp.stack([f.fx, f.fy, f.fw]) for f in forces], found.complete
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("structure", ["posts", "guided"])
 @pytest.mark.parametrize("span", [1e-5, 1e-3])
 @pytest.mark.parametrize("seed", SEEDS)
@@ -79,6 +80,7 @@ def test_candidates_leave_no_force_out(structure, span, seed):
     assert np.max(np.abs(kept - whole)) < 2e-13 * float(jnp.max(jnp.abs(whole)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_search_changes_no_run(method, monkeypatch):
     """A sheet that meets post after post, with the search and with every pair looked at in every step."""
@@ -90,6 +92,7 @@ def test_search_changes_no_run(method, monkeypatch):
     assert difference(outputs(whole), outputs(searched)) < 1e-14 * 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "backed"),
     [({"nips": 8}, False), ({"nips": 8}, True), ({"nips": 2, "driven": 16}, False), ({"nips": 8, "bars": 110}, False)],
@@ -120,6 +123,7 @@ def test_search_among_rollers_changes_no_run(path, backed, monkeypatch):
         assert all(np.ptp(v) > 0.01 for v in spins.values()), "they must be felt"
 
 
+@pytest.mark.long
 def test_many_pinches_have_one_derivative_in_both_modes_and_in_a_batch():
     """In a batch all take one way: that of rollers which touch each other, if any does."""
     path = normalise(replace(transport(nips=4, bars=6, duration=DURATION), gravity=(0.0, 0.0)))
@@ -161,6 +165,7 @@ def test_each_pair_of_rollers_belongs_to_one_movable_roller(movable, fixed):
     assert np.ptp(rows) <= 1 if movable else rows.size == 0
 
 
+@pytest.mark.long
 def test_search_among_the_bodies_close_by_changes_no_run(monkeypatch):
     """A path of lines and arcs, of which the sheet lies on a few."""
     path = transport(bars=5, guides=240, driven=8, duration=DURATION)
@@ -232,6 +237,7 @@ def test_statics_converge_with_the_square_of_the_bar():
     assert _ratios(errors) == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.long
 def test_clamped_frequencies_converge_with_the_square_of_the_bar():
     length, mass, bending, _ = _beam_numbers()
     exact = 1.8751040687119611**2 * np.sqrt(bending / mass) / length**2
@@ -385,6 +391,7 @@ GRADIENTS += [pytest.param(s, m, marks=pytest.mark.slow) for s in ("clamped", "n
 with_gradients = pytest.mark.parametrize(("structure", "method"), GRADIENTS)
 
 
+@pytest.mark.long
 @with_gradients
 def test_reverse_mode_equals_forward_mode(structure, method):
     """<w, J d> = <J' w, d> for random weights of all outputs and random directions of all numbers."""

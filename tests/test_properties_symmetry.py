@@ -36,6 +36,7 @@ every_case = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.long
 @every_case
 def test_place_does_not_matter(structure, method, seed):
     # 1e-9: coordinates of 1e3 mm are rounded to 1e-13 mm, a penetration of 0.01 mm to 1e-11 of itself.

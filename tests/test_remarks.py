@@ -93,11 +93,20 @@ def test_numbers_of_rollers_and_contacts_in_other_units(part, change, said):
     assert remark.startswith(said)
 
 
+def test_a_profile_of_one_point_changes_nothing():
+    steady = Profile(times=(0.0,), values=(-300.0,))
+    drive = FixedRoller(center=(0.0, -10.05), radius=10.0, surface_speed=steady)
+    assert diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, rollers={"drive": drive}, duration=0.02)) == []
+
+
 @pytest.mark.parametrize(
     ("times", "turn", "said"),
     [
         ((0.0, 20.0), 14.0, "guides.flap.motion.times end at 20 s, but the run at 0.02 s: in ms?"),
         ((0.0, 0.02), 0.244, "guides.flap.motion.rotation is 0.244 degrees at most: in radians?"),
+        ((0.02, 0.05), 14.0, "guides.flap.motion changes nothing before 0.02 s, but the run ends at 0.02 s"),
+        ((0.019, 0.05), 14.0, None),
+        ((0.02, 0.05), 0.0, None),
         ((0.0, 0.02), 14.0, None),
     ],
 )

@@ -79,6 +79,7 @@ def test_a_part_shows_every_field_with_its_unit(feeder, part):
         assert unit == "1" or f">{unit}<" in html
 
 
+@pytest.mark.long
 def test_a_run_shows_whether_it_holds(feeder):
     run = diffeed.simulate(feeder, duration=1e-3, dt=5e-4, frames=2)
     html = run._repr_html_()

@@ -12,14 +12,18 @@ from test_scene_file import DRIVE, FILM, full_scene
 
 import diffeed.cli
 import optimize.cli
+from diffeed.base.names import LISTED
 from diffeed.base.records import fields, is_required
+from diffeed.input import parts
 from diffeed.input.parts import SECTIONS, Motion, Profile, Scene
 from diffeed.input.scene_file import load_scene, scene_text
 from diffeed.schema import scene_schema
 from optimize.asked import StudyError
 from optimize.schema import STUDIES, study_schema
+from optimize.study import Search, Study
 from optimize.study_file import is_tolerance, make_study
 from optimize.tolerance.problem import make_tolerance
+from optimize.tolerance.records import Tolerance, ToleranceStudy
 
 ROOT = Path(__file__).parent.parent
 SCENES = sorted([*ROOT.glob("diffeed/scenes/*.toml"), *ROOT.glob("optimize/studies/scenes/*.toml")])
@@ -263,3 +267,9 @@ def test_commands_print_or_write_the_schema(tmp_path, main, words, schema):
     missing = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "no" / "new.json")])
     assert missing.exit_code == 2
     assert "Traceback" not in missing.output
+
+
+def test_all_fields_of_a_record_are_listed_where_one_is_not_known():
+    records = [r for r in vars(parts).values() if isinstance(r, type) and hasattr(r, "__dataclass_fields__")]
+    assert max(len(r.__dataclass_fields__) for r in records) <= LISTED
+    assert max(len(r.model_fields) for r in (ToleranceStudy, Tolerance, Study, Search)) <= LISTED

@@ -145,6 +145,7 @@ def everything() -> Scene:
     return diffeed.put(scene, "rollers.r.angular_speed", jnp.asarray(7.0))
 
 
+@pytest.mark.long
 def test_bars_feel_together_what_the_skin_feels():
     """Sum of forces, moment about the origin (at the body's surface) and power."""
     scene = everything()
@@ -204,6 +205,7 @@ def test_gradients_of_a_contact_force():
     assert np.all(np.abs(np.asarray(forward))[:5] > 1.0)  # the bars behind hang from these
 
 
+@pytest.mark.long
 def test_a_pruned_search_finds_the_same_forces():
     """Many circles under two sheets: the list holds all that touch."""
     circles = {f"c{k}": CircleGuide(center=(3.0 * k - 40.0, -3.04), radius=3.0) for k in range(24)}
@@ -243,6 +245,7 @@ def fed(dt: float) -> diffeed.Trajectory:
     return diffeed.simulate(feeder(), duration=0.05, dt=dt, frames=3, observe=("energy", "nips", "feed"))
 
 
+@pytest.mark.long
 def test_sheet_and_roller_that_move_together_feel_nothing():
     """The implicit coupling of a pinch's travel with the bars it lies on cancels what it adds to the pinch itself."""
     scene = normalise(replace(feeder(7), gravity=(0.0, 0.0)))

@@ -123,6 +123,7 @@ def test_the_secant_leads_from_no_deflection_to_the_force():
 # --- an incline ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_below_the_friction_angle_it_stands_still_and_above_it_slides():
     """The friction angle is 16.7 degrees. What holds is a deflection; the regularised law creeps down instead."""
     for angle, most in ((5.0, 1.0), (10.0, 1.0), (16.0, 20.0)):  # near the limit it slips a little as it sinks in
@@ -180,6 +181,7 @@ def pulled(places) -> tuple[np.ndarray, np.ndarray, float]:
     return np.asarray(run.sheets["a"].nodes[:, 0, 0]) / REACH, -np.asarray(run.guides["table"].friction) / limit, taken
 
 
+@pytest.mark.long
 def test_to_and_fro_is_a_loop_with_an_elastic_part():
     """Friction saturates at mu N, turns back along psi, and a cycle between -A and A takes 4 mu N (A - 1.5 z_s)."""
     far, n = 15.0, 40
@@ -206,6 +208,7 @@ def test_small_movements_are_elastic():
 # --- nips and mixtures -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_nip_feeds_without_slip():
     """Once the shaft turns steadily nothing lasts, whether or not a load pulls: what is left is the deflection following
     the load, a spike where a joint passes. The regularised law creeps by 0.14 mm under this load. And no creep floor."""
@@ -225,6 +228,7 @@ def test_a_nip_feeds_without_slip():
         assert float(measures.creep_floor(scene, run)["drive"]) == 0.0
 
 
+@pytest.mark.long
 def test_sets_of_both_laws_stand_side_by_side():
     """One table sticks, the other is regularised; a bridging post has nothing to hold."""
     lean = np.deg2rad(10.0)
@@ -287,6 +291,7 @@ def test_pruned_pairs_move_the_same_deflections(sheets):
     assert np.sum(np.asarray(few.grip) != 0) > 4
 
 
+@pytest.mark.long
 def test_each_sheet_has_its_own_deflection_on_a_roller():
     """Two sheets on one roller, one above and held back, one below and pulled on."""
     sheets = {n: paper(lead=(20.0, y)) for n, y in (("a", 5.05), ("b", -5.05))}

@@ -87,12 +87,6 @@ PICTURES = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _closed_figures():
-    yield
-    pyplot.close("all")
-
-
 @pytest.mark.parametrize("name", PICTURES)
 def test_makes_axes_or_draws_into_given_ones(name):
     assert isinstance(drawn(PICTURES[name]()), Axes)

@@ -21,16 +21,15 @@ from diffeed import measures
 from diffeed.readings.verdict import Verdict
 from optimize.asked import StudyError
 from optimize.terms import TERMS, Term
-from optimize.tolerance import confirmation, report
 from optimize.tolerance import latitude as latitude_of
-from optimize.tolerance.confirmation import confirm, picked
+from optimize.tolerance import report
 from optimize.tolerance.contributions import indices, refuse_groups, slopes
 from optimize.tolerance.folder import INDICES, PICTURES, Folder, FolderError, names_of, pictures_of, read_rows
 from optimize.tolerance.latitude import latitude
-from optimize.tolerance.problem import load_tolerance, make_tolerance, unpacked
-from optimize.tolerance.replay import judged, replay
+from optimize.tolerance.problem import load_tolerance, make_tolerance, rest_of, unpacked
+from optimize.tolerance.replay import judged, replay, sample_scene
 from optimize.tolerance.report import print_summary, write_result
-from optimize.tolerance.run import Rows, chosen
+from optimize.tolerance.run import Rows, chosen, run_of
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise, tighten
 
@@ -79,6 +78,7 @@ def test_a_linear_measure_has_the_known_variance_and_blame(rows):
     assert blame["first order std"] == pytest.approx(0.1, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_known_share_breaks_its_limit():
     study = problem(samples=256, sampling="sobol", dt=1e-3)
     found = run_study(study, here(study, 64))
@@ -117,6 +117,7 @@ def test_a_known_share_jams():
     assert np.all(found.status[shut] >= 2)
 
 
+@pytest.mark.long
 def test_a_sheet_that_fails_numerically_is_no_pass():
     """With a preload of thousands of newtons the pinch goes through the sheet in some samples."""
     study = problem(tolerances={"preload": {"path": "rollers.pinch.preload", "sigma": 1e5}}, samples=8)
@@ -642,73 +643,7 @@ range = [-0.01, 0.01]
     assert "power of two" in bad.stderr
 
 
-# --- confirmed by shorter steps -----------------------------------------------------------------------------------------
-
-
-def test_samples_are_run_again_in_shorter_steps(rows):
-    """The force of this nip is the same in any steps, whether it is above its limit too; not so how far it feeds while its drive
-    runs up, which hardly scatters."""
-    found = confirm(problem(), rows)
-    assert found.holds
-    assert found.unsure == ["fed"]
-    assert found.passed.of == found.others.of == 2
-    assert np.array_equal(
-        rows.passed[found.samples], ~np.isin(found.samples, found.samples[~rows.passed[found.samples]])
-    )
-    assert found.apart["force"] < 1e-3 * found.scatter["force"]
-    assert (
-        "4 samples run again in steps 4 times as fine: of 2 that passed 2 pass too, of 2 that did not 2 do not either."
-        in (found.sentence())
-    )
-
-
-def test_what_the_steps_decide_is_told(rows, monkeypatch):
-    """As if every run in shorter steps had passed, with another force."""
-
-    def lenient(problem, chunk):
-        more = np.array([0.0, 0.05])
-
-        def run(sample, deviation):
-            for got in here(problem, chunk)(sample, deviation):
-                yield got._replace(status=0 * got.status, broken=np.zeros_like(got.broken), values=got.values + more)
-
-        return run
-
-    monkeypatch.setattr(confirmation, "here", lenient)
-    found = confirm(problem(), rows)
-    assert not found.holds
-    assert found.others == (0, 2)
-    assert found.unsure == ["fed", "force"]
-    assert "of 2 that did not 0 do not either. The steps decide on the others" in found.sentence()
-    told = found._replace(others=found.others._replace(same=2)).sentence()
-    assert told.endswith("Of the scatter of fed, force the steps make a good part: a smaller --dt tells how much.")
-    assert summarise(problem(), rows, confirmed=found)["confirmed"]["others"] == {"same": 0, "of": 2}
-
-
-@pytest.mark.parametrize(
-    ("passed", "others", "again"),
-    [
-        (1000, 0, (0, 16)),
-        (0, 1000, (16, 0)),
-        (1000, 3, (3, 13)),
-        (1, 1000, (15, 1)),
-        (100, 100, (6, 6)),
-        (2, 1, (1, 2)),
-        (20, 4, (2, 2)),
-    ],
-)
-def test_which_samples_are_run_again(passed, others, again):
-    found = np.random.default_rng(0).permutation(np.arange(passed + others) < passed)
-    which = picked(found)
-    assert len(np.unique(which)) == len(which)
-    assert (int((~found[which]).sum()), int(found[which].sum())) == again
-
-
-def test_steps_that_are_too_many_are_not_run_again(rows):
-    with pytest.raises(ValueError, match="dt"):
-        confirm(problem().changed(dt=1e-11), rows)
-
-
+@pytest.mark.long
 def test_what_never_arrives_is_no_time():
     """Within 10 ms the strip is fed half a millimetre of the one to the gate: infinite, and counted apart."""
     study = problem(measures={"arrival": {"measure": "arrival", "at": "gate"}}, limits={}, samples=2)
@@ -719,3 +654,9 @@ def test_what_never_arrives_is_no_time():
     text = io.StringIO()
     print_summary(Console(file=text, width=120), summarise(study, rows))
     assert "arrival: never in 2 of 2 samples; mean and std are of the others" in text.getvalue()
+    assert np.isnan(slopes(study, rows.deviation[:1]).samples).all()
+    late = problem(limits={"arrival": {"measure": "arrival", "at": "gate", "at_most": 0.005}})
+    scene = sample_scene(late, 0)
+    assert judged(late, scene, run_of(late, scene, rest_of(late))).endswith(
+        "breaks its limits: arrival above 0.005 (never)"
+    )

@@ -120,6 +120,7 @@ def test_progress_counts_the_way_that_is_commanded():
         assert 0.5 < float(measures.jam_margins(scene, run)["progress"]) < 1.0
 
 
+@pytest.mark.long
 def test_the_work_of_loads_is_no_numerical_gain():
     """A free sheet, drawn by 1 mN for 50 ms: the load's work is its kinetic energy, and the step loses none of it."""
     scene = diffeed.Scene(
@@ -168,6 +169,7 @@ def test_a_deflection_that_nothing_presses_is_forgotten(method):
     assert np.asarray(run.final.state.grip) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.long
 def test_a_state_serves_where_more_sticks():
     """What the state does not hold starts at zero, in a run and in one that goes on."""
     few, more = high(), high(friction_law="stick")
@@ -177,6 +179,7 @@ def test_a_state_serves_where_more_sticks():
     assert np.all(np.isfinite(diffeed.linearise(more, run.final.state).mass))
 
 
+@pytest.mark.long
 def test_a_sheet_that_is_driven_backwards_is_told_so():
     """By a roller above it that turns clockwise, tail first; turned about it feeds the sheet to the sensor."""
     ahead = diffeed.Sensor(position=(30.0, 0.0), direction=(1.0, 0.0))
@@ -226,6 +229,7 @@ def test_what_cannot_be_is_said():
     assert diffeed.get(moved, "guides.b.motion.displacement[1]") == pytest.approx([1.0, 2.0])
 
 
+@pytest.mark.long
 def test_whole_numbers_may_be_given_as_floats():
     scene = table({"surface_speed": 0.0})
     assert len(diffeed.simulate(scene, duration=1e-3, dt=1e-3, frames=3.0).time) == 3

@@ -114,6 +114,7 @@ def test_flexible_capstan() -> None:
     np.testing.assert_allclose(slopes[:, 0] / ratios[:, 0], [e["dlnT2_dmu_flexible"] for e in entries], rtol=2e-2)
 
 
+@pytest.mark.long
 def test_capstan_with_bending() -> None:
     """Bending lowers the ratio: wrap is lost at both ends."""
     entries, (ratios, _) = case(CAPSTAN)["reference"], drawn()[1]
@@ -238,6 +239,7 @@ def in_channel(scene: diffeed.Scene) -> tuple[Any, Any, Any, Any]:
     return guides["outer"].force[0], guides["inner"].force[0], trajectory.sheets["sheet"].force[0], trajectory.ok
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("inner", "bars"), [("arc", 20), ("circle", 20), pytest.param("circle", 40, marks=pytest.mark.slow)]
 )
@@ -295,6 +297,7 @@ def lying(scene: diffeed.Scene) -> tuple[Any, Any, Any]:
     return trajectory.sheets["sheet"].nodes[0], trajectory.sheets["sheet"].force[0], trajectory.ok
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("edge", ["tip", "circle"])
 def test_overhang(edge: str) -> None:
     given, entries = case(OVERHANG)["parameters"], case(OVERHANG)["reference"]

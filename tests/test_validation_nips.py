@@ -55,6 +55,7 @@ def slip_at(share: float, law: str) -> float:
     return float(np.arctanh(share)) if law == "tanh" else share / float(np.sqrt(1.0 - share**2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bars", [2, 5, 10, 20])
 def test_a_weightless_sheet_rests_in_a_nip_wherever_its_joints_are(bars):
     """With a joint exactly between the rollers too, where rounding alone says which bar they press."""
@@ -130,6 +131,7 @@ def test_start_of_a_nip_at_first_order() -> None:
         assert_started(extrapolated(started(entry, MANY, ORDER_ONE), started(entry, TWICE, ORDER_ONE)), entry)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("law", "method", "steps", "duration"),
     [("tanh", ORDER_FOUR, FEW, 3e-3), ("tanh", ORDER_ONE, MANY, 0.2), ("sqrt", ORDER_ONE, MANY, 0.2)],
@@ -201,6 +203,7 @@ def balanced(entry: dict[str, Any], forces: list[float]) -> float:
     return brentq(excess, min(speeds) - 20.0, max(speeds) + 20.0, xtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "dt", "duration"),
     [pytest.param(ORDER_FOUR, 5e-7, 0.01, marks=pytest.mark.slow), (ORDER_ONE, 1e-5, 0.05)],
@@ -241,6 +244,7 @@ def passing(kind: str) -> diffeed.Scene:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "method", "steps"), [("fixed", ORDER_FOUR, 30 * 50), ("movable", ORDER_ONE, 30 * 1000)]
 )
@@ -376,6 +380,7 @@ def test_release_from_touch(below: str) -> None:
             np.testing.assert_allclose(np.max(found), exact, rtol=7e-3)
 
 
+@pytest.mark.long
 def test_release_from_touch_at_first_order() -> None:
     for entry in case(SPRUNG)["reference"]:
         coarse, fine = (released(entry, 60 * n, ORDER_ONE, "roller") for n in (400, 800))

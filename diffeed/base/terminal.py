@@ -1,10 +1,10 @@
 """What the commands share: settings of their help, refusals without traceback, console and tables."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+T = TypeVar("T")
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
@@ -31,6 +32,18 @@ def refusing(*kinds: type[Exception]) -> Iterator[None]:
         yield
     except kinds as error:
         raise Refusal(str(error)) from error
+
+
+def once_more(what: str, find: Callable[[], T]) -> T | None:
+    """What is found by running something again in shorter steps; None, and why, where that cannot be or Ctrl-C leaves it out."""
+    click.echo(f"{what} once more, with shorter steps (--once leaves that out)", err=True)
+    try:
+        return find()
+    except KeyboardInterrupt:
+        click.echo("not confirmed: stopped by Ctrl-C", err=True)
+    except ValueError as problem:
+        click.echo(f"not confirmed: {problem}", err=True)
+    return None
 
 
 def hand_out(text: str, file: Path | None, force: bool) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">", "p", "h")
 CONTROLLED = ", controlled"
 HEIGHT = 2.9  # inches of one plot
+BETWEEN = 7.0  # points of the page between a name and the next in its line
 
 
 def front(found: Front) -> "Axes":
@@ -143,7 +144,7 @@ def place_names(ax: "Axes", names: list[str], spots: np.ndarray, points: np.ndar
     frame = (72.0 * box.x0, 72.0 * box.y0, 72.0 * box.x1, 72.0 * box.y1)
     small = plot_style.SMALL - 0.5
     wanted = [
-        labels.Label(name, (0.56 * small * len(name) + 2.0, small + 2.0), spot[None] + np.zeros((1, 2)))
+        labels.Label(name, (0.56 * small * len(name) + BETWEEN, small + 2.0), spot[None] + np.zeros((1, 2)))
         for name, spot in zip(names, spots, strict=True)
     ]
     around = np.concatenate([points + np.array(shift) for shift in ((0, 0), (3, 0), (-3, 0), (0, 3), (0, -3))])

@@ -73,6 +73,11 @@ def _centre_velocity(sheet: Sheet, headings: Array, rates: Array) -> Array:
     return lead - jnp.mean(behind, axis=0)
 
 
+def total_per_sheet(layout: Layout, values: Array) -> Array:
+    """(bars,) -> (sheets,)."""
+    return jnp.stack([jnp.sum(values[s]) for s in layout.slices()])
+
+
 def mean_per_sheet(layout: Layout, values: Array) -> Array:
     """(bars,) -> (sheets,)."""
     return jnp.stack([jnp.mean(values[s]) for s in layout.slices()])

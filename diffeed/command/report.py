@@ -37,7 +37,7 @@ MARGINS = (
 )
 FED = "Fed per turned: of the way while a driven roller held the sheet."
 UNBALANCED = 0.2
-"""Of the drives' work: more that the steps themselves took or gave is told."""
+"""Of the largest work, store or loss: more that the steps themselves took or gave is told."""
 
 
 def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
@@ -233,11 +233,12 @@ def _energy_table(energy: dict[str, Any]) -> "Table":
 
 def _unbalanced(energy: dict[str, Any]) -> str:
     """What is to be said where steps as long as these do not add up."""
-    work, lost = energy["work of drives"], energy.get("numerical")
-    if not work or lost is None or abs(lost) <= UNBALANCED * abs(work):
+    lost = energy.get("numerical")
+    most = max((abs(v) for name, v in energy.items() if name != "numerical" and v is not None), default=0.0)
+    if not most or lost is None or abs(lost) <= UNBALANCED * most:
         return ""
     return (
-        "The steps are too long for the forces: what they themselves took or gave is a good part of the drives' work."
+        "The steps are too long for the forces: what they themselves took or gave is a good part of the energy moved."
     )
 
 

@@ -9,6 +9,7 @@ from jax import Array
 
 from diffeed.base.records import replace
 from diffeed.chain.state import State
+from diffeed.contact.profile import interpolate
 from diffeed.model.arrays import Arcs, Circles, Drives, Lines, Model, Path
 from diffeed.pair.shapes import Face
 
@@ -51,18 +52,6 @@ class Shift(NamedTuple):
     w: Array
     pivot_x: Array
     pivot_y: Array
-
-
-def interpolate(times: Array, values: Array, time: Array) -> tuple[Array, Array]:
-    """Value and slope of one piecewise linear profile, constant outside."""
-    if times.shape[0] == 1:
-        return values[0], jnp.zeros_like(values[0])
-    k = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, times.shape[0] - 2)
-    span = times[k + 1] - times[k]
-    slope = jnp.where(span > 0, (values[k + 1] - values[k]) / jnp.where(span > 0, span, 1.0), 0.0)
-    inside = (time >= times[0]) & (time < times[-1])
-    value = values[k] + slope * (jnp.clip(time, times[0], times[-1]) - times[k])
-    return value, jnp.where(inside, slope, 0.0)
 
 
 def shift_at(path: Path, time: Array) -> Shift:

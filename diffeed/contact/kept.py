@@ -176,3 +176,17 @@ def by_roller(model: Model, kept: Kept, values: Array) -> Array:
         return jnp.sum(values[:, :n], axis=2)
     sums = jnp.zeros((values.shape[0], len(model.circle_names)), values.dtype)
     return sums.at[:, kept.circle_index].add(values[:, : kept.n_circles], mode="promise_in_bounds")[:, :n]
+
+
+def by_contact(model: Model, kept: Kept, values: Array) -> Array:
+    """(k, bodies, features) or (k, pairs) -> the same shape: each value's sum over all that its sheet has with its body."""
+    layout = model.layout
+    if kept.pairs is None:
+        own = jnp.asarray(layout.sheet_of_feature, values.dtype)
+        return (values @ own) @ own.T
+    counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
+    firsts, indices = np.cumsum([0, *counts], dtype=np.int32), (kept.circle_index, kept.line_index, kept.arc_index)
+    body = jnp.concatenate([first + i for first, i in zip(firsts[:-1], indices, strict=True) if i is not None])
+    contact = body * len(layout.bars) + jnp.asarray(layout.owner_of_feature)[kept.pairs.feature]
+    sums = jnp.zeros((values.shape[0], sum(counts) * len(layout.bars)), values.dtype)
+    return sums.at[:, contact].add(values, mode="promise_in_bounds")[:, contact]

@@ -15,8 +15,9 @@ from diffeed.base.records import replace
 from diffeed.base.smooth import divide
 from diffeed.chain.state import State, initial_grip
 from diffeed.chain.system import Solution
-from diffeed.contact.features import blend, by_feature, laid_out
-from diffeed.contact.kept import Kept, by_circle, part, pick, picked
+from diffeed.contact import gained
+from diffeed.contact.features import by_feature
+from diffeed.contact.kept import Kept, by_circle, part, pick
 from diffeed.contact.sweep import Pairs
 from diffeed.model.arrays import Model
 from diffeed.pair.law import SLIDES, Grip, stick_deflection
@@ -53,11 +54,11 @@ def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
     n_sheets, n_features = len(model.layout.names), model.layout.tail.shape[0]
     table, index = on_circles.reshape(-1, n_sheets), kept.circle_index
     if kept.pairs is not None and index is not None:
-        owner = jnp.asarray(np.argmax(model.layout.sheet_of_feature, axis=1))
+        owner = jnp.asarray(model.layout.owner_of_feature)
         return table[index, owner[kept.pairs.feature[: kept.n_circles]]]
     if n_sheets == 1:
         return jnp.broadcast_to(pick(table[:, 0], index)[: kept.n_circles], (kept.n_circles, n_features))
-    owner = np.argmax(model.layout.sheet_of_feature, axis=1)
+    owner = model.layout.owner_of_feature
     return table[: kept.n_circles, owner] if index is None else table[index, owner[None, :]]
 
 
@@ -91,7 +92,7 @@ def advance(model: Model, grip: Array | None, pairs: Pairs | None, a: Solution, 
     """Deflections at the end of an implicit step: dragged along at the sliding speeds that the step ends with."""
     if grip is None or pairs is None:
         return grip
-    slide = pairs.v_t + h * sliding_acceleration(model, pairs, a, kept)
+    slide = pairs.v_t + h * gained.along(model, pairs, a, kept)
     return moved(grip, *pull(model, pairs, slide, kept), h)
 
 
@@ -125,23 +126,3 @@ def at_friction(model: Model, pairs: Pairs, kept: Kept) -> Array:
     limit = coefficient * kept.own.friction_factor * pairs.touch.force
     friction, most = _gather(model, kept, (pairs.touch.friction, limit))
     return stick_deflection(divide(friction, most))
-
-
-def sliding_acceleration(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
-    """Of each pair, mm/s2: what the step's accelerations add to v_t. Prescribed speeds are those of its end already."""
-    rows = zip(laid_out(model, (a.x, a.y, a.w), kept.pairs), pairs.levers, strict=True)
-    gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])
-    if not (model.n_border and kept.n_circles):
-        return gained
-    rollers, n = model.rollers, kept.n_circles
-    m, f, rest = rollers.n_movable, rollers.n_free, len(model.circle_names) - rollers.n
-    travel, still = a.border[:m], jnp.zeros((rollers.n - m + rest,))
-    before, after = jnp.zeros((rollers.counts[0],)), jnp.zeros((rollers.counts[3] + rest,))
-    of_circles = (
-        jnp.concatenate([rollers.dir_x * travel, still]),
-        jnp.concatenate([rollers.dir_y * travel, still]),
-        jnp.concatenate([before, a.border[m : m + f], after]),
-    )
-    x, y, w = picked(of_circles, kept.circle_index)
-    surface = pairs.nx[:n] * y - pairs.ny[:n] * x + kept.radius * w
-    return jnp.concatenate([gained[:n] - surface, gained[n:]])

@@ -42,6 +42,10 @@ _ALL = (
         "turn the guide about if it bears on the wrong side (a line guide bears on the left of start to end, an arc on its"
         " `side`), or keep the sheet off its back",
     ),
+    Cause(
+        "the times of a profile or a movement are out of order",
+        "keep each after the one before: bounds and tolerances must not cross",
+    ),
 )
 CAUSES = tuple(cause.what for cause in _ALL)
 """Causes of a failed run, by number; 0 is none."""
@@ -63,4 +67,5 @@ REMEDIES = tuple(cause.remedy for cause in _ALL)
     FROZEN,
     TURNED_ABOUT,
     BEHIND,
+    OUT_OF_ORDER,
 ) = range(1, len(_ALL))

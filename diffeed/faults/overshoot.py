@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.chain.state import State, spread
+from diffeed.chain.state import State, spread, total_per_sheet
 from diffeed.chain.system import Solution
-from diffeed.contact import stick
+from diffeed.contact import gained, stick
 from diffeed.contact.features import by_feature
 from diffeed.contact.kept import Kept, by_roller
 from diffeed.contact.roller_pairs import RollerPairs
@@ -43,10 +43,10 @@ def turns_about(model: Model, state: State, touching: Contacts, kept: Kept, h: A
 
 def _on_sheets(model: Model, state: State, pairs: Pairs, kept: Kept, h: Array) -> list[Array]:
     now = _pull(model, pairs, kept, pairs.touch.friction)
-    gained = 0.5 * h * stick.sliding_acceleration(model, pairs, _spread(model, now), kept)
+    more = 0.5 * h * gained.along(model, pairs, _spread(model, now), kept)
     # A deflection drifts for half a step too; this much less that its limit is the one of what swings.
     ahead, grip = h * DAMPED / SWINGS**2, stick.of_pairs(model, state.grip, kept, 0.0)
-    then = _pull(model, pairs, kept, friction_after(kept.surface, pairs.touch, pairs.v_t, gained, ahead, grip))
+    then = _pull(model, pairs, kept, friction_after(kept.surface, pairs.touch, pairs.v_t, more, ahead, grip))
     return [_overshoots(a, b, kept.surface, h) for a, b in zip(now, then, strict=True)]
 
 
@@ -68,7 +68,7 @@ def _overshoots(now: Array, then: Array, surface: Surface, h: Array) -> Array:
 def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Array, Array]:
     """(2, sheets) of each sheet and (1, free) of each free roller's surface, mm/s2."""
     layout, rollers = model.layout, model.rollers
-    mass = jnp.stack([jnp.sum(model.bars.mass[s]) for s in layout.slices()])
+    mass = total_per_sheet(layout, model.bars.mass)
     own = jnp.asarray(layout.sheet_of_feature, friction.dtype)
     force = by_feature(model, jnp.stack([pairs.ny * friction, -pairs.nx * friction]), kept.pairs)
     free = np.arange(rollers.n)[rollers.free]

@@ -28,13 +28,18 @@ def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System
         world = bodies(model, state, state.time, state.time + step.h if step.implicit else state.time)
     with jax.named_scope("contact"):
         touching = contacts(model, at, world, kept, state.grip, step.h if step.implicit else 0.0)
+    return system_of(model, state, step, kept, at, touching), at, touching
+
+
+def system_of(model: Model, state: State, step: Step, kept: Kept, at: Pose, touching: Contacts) -> System:
+    """The same from the pose and the contacts of the state."""
     with jax.named_scope("forces"):
         terms = [inertia(model), weight(model), joints(model, state, step), tension(state, step)]
         terms += [pushes(model, at), walls(model, state, step)]
         terms += [pair_terms(model, touching.sheets, at, step, kept)] if touching.sheets is not None else []
         half = model.bars.half_length
         centripetal = half * state.rate * state.rate
-        system = System(
+        return System(
             bars=summed([t for t in terms if t is not None]),
             coupling=coupling(model, step),
             lever_x=half * at.s,
@@ -44,4 +49,3 @@ def assemble(model: Model, state: State, step: Step, kept: Kept) -> tuple[System
             border=border(model, state, touching, step, kept) if model.n_border else None,
             clamps=clamps(model, state, at, step) if model.holds else None,
         )
-    return system, at, touching

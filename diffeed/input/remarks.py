@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from diffeed.base.records import fields
 from diffeed.input.check_records import check_records
 from diffeed.input.check_rules import Rule
 from diffeed.input.check_values import sound
@@ -14,6 +15,7 @@ from diffeed.input.parts import (
     Contact,
     FixedRoller,
     LineGuide,
+    Motion,
     MovableRoller,
     Profile,
     Scene,
@@ -44,6 +46,8 @@ BESIDE = 0.3
 """Cosine between the travel of a pinch and the way to its partner: less hardly presses."""
 BULKY, ROUGH, STUBBORN = 5.0, 3.0, 1e5
 """kg of a roller, its friction, N/mm of a contact: more is hardly meant."""
+COURSES = ("displacement", "rotation", "values")
+"""What a motion or a profile says for each of its times."""
 LATER = 10.0
 """Times the duration at which a profile ends: it is hardly meant for this run."""
 BEYOND_USE = 100.0
@@ -111,15 +115,28 @@ def _arc(path: str, guide: ArcGuide, _: Scene) -> Iterator[str]:
         yield f"{path}.sweep is {sweep:g} degrees: in radians? A quarter turn is 90"
 
 
-def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
-    motion = getattr(part, "motion", None)
-    if motion is None:
+def _in_the_run(path: str, part: Motion | Profile, scene: Scene) -> Iterator[str]:
+    times = sound(part, "times")
+    if times is None:
         return
-    times, turn = sound(motion, "times"), sound(motion, "rotation")
-    if times is not None and float(times[-1]) > LATER * scene.duration:
-        yield f"{path}.motion.times end at {float(times[-1]):g} s, but the run at {scene.duration:g} s: in ms?"
-    if turn is not None and 0.0 < float(np.max(np.abs(turn))) < TURNED:
-        yield f"{path}.motion.rotation is {float(np.max(np.abs(turn))):g} degrees at most: in radians? A quarter turn is 90"
+    if float(times[-1]) > LATER * scene.duration:
+        yield f"{path}.times end at {float(times[-1]):g} s, but the run at {scene.duration:g} s: in ms?"
+        return
+    courses = (sound(part, f.name) for f in fields(part) if f.name in COURSES)
+    changes = (np.diff(v, axis=0).reshape(len(times) - 1, v[0].size).any(axis=1) for v in courses if v is not None)
+    first = min((float(time) for changed in changes for time in times[:-1][changed]), default=0.0)
+    if first >= scene.duration:
+        yield f"{path} changes nothing before {first:g} s, but the run ends at {scene.duration:g} s"
+
+
+def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
+    if part.motion is None:
+        return
+    yield from _in_the_run(f"{path}.motion", part.motion, scene)
+    turn = sound(part.motion, "rotation")
+    furthest = 0.0 if turn is None else float(np.max(np.abs(turn)))
+    if 0.0 < furthest < TURNED:
+        yield f"{path}.motion.rotation is {furthest:g} degrees at most: in radians? A quarter turn is 90"
 
 
 def _fastest(roller: Any) -> float | None:
@@ -137,9 +154,8 @@ def _drive(path: str, roller: Any, scene: Scene) -> Iterator[str]:
     if friction and friction > ROUGH:
         yield f"{path}.friction is {friction:g}: in percent? Rubber on paper has 0.8 to 1.5"
     for field in ("surface_speed", "angular_speed"):
-        times = sound(getattr(roller, field), "times") if isinstance(getattr(roller, field), Profile) else None
-        if times is not None and float(times[-1]) > LATER * scene.duration:
-            yield f"{path}.{field}.times end at {float(times[-1]):g} s, but the run at {scene.duration:g} s: in ms?"
+        if isinstance(profile := getattr(roller, field), Profile):
+            yield from _in_the_run(f"{path}.{field}", profile, scene)
     if fastest and fastest < SLOWEST:
         yield f"{path} turns at {fastest:g} mm/s at most: in m/s? Feeders run at 100 to 3000 mm/s"
 
@@ -181,26 +197,21 @@ def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
 def _back_to_back(path: str, guide: LineGuide, scene: Scene) -> Iterator[str]:
     """A blade made of two faces: each feels a sheet behind it up to its depth, so that one may catch what lies on the other."""
     start, end, depth = (sound(guide, f) for f in ("start", "end", "depth"))
-    if start is None or end is None or depth is None or not np.any(way := np.asarray(end) - start):
+    if start is None or end is None or depth is None or not np.any(end - start):
         return
-    way = way / np.hypot(*way)
+    length = np.hypot(*(end - start))
+    way = (end - start) / length
     for name, other in sorted(scene.guides.items()):
         a, b = (sound(other, f) if isinstance(other, LineGuide) else None for f in ("start", "end"))
-        if a is None or b is None or other is guide:
+        if other is guide or a is None or b is None:
             continue
-        along, behind = zip(
-            *((way @ (p - start), way[1] * (p - start)[0] - way[0] * (p - start)[1]) for p in (a, b)), strict=True
-        )
-        side_by_side = min(max(along), np.hypot(*(np.asarray(end) - start))) - max(min(along), 0.0)
-        turned = along[0] > along[1]
-        if (
-            turned
-            and side_by_side > BLADE * abs(along[0] - along[1])
-            and min(behind) >= 0.0
-            and max(behind) < float(depth)
-        ):
+        away = np.stack([a, b]) - start
+        along, behind = away @ way, away @ np.array([way[1], -way[0]])
+        beside = min(along.max(), length) - max(along.min(), 0.0)
+        # Turned about, it looks to the other side.
+        if beside > BLADE * (along[0] - along[1]) > 0.0 and behind.min() >= 0.0 and behind.max() < depth:
             yield (
-                f"{path} and guides.{name} are back to back, {min(behind):.3g} mm apart, which is less than {path}.depth, "
+                f"{path} and guides.{name} are back to back, {behind.min():.3g} mm apart, which is less than {path}.depth, "
                 f"{float(depth):g} mm: it catches a sheet that lies on the other; give both a depth of less than half of that"
             )
 

@@ -43,8 +43,12 @@ class Layout:
     @cached_property
     def sheet_of_feature(self) -> np.ndarray:
         """(features, sheets) bool."""
-        owner = np.repeat(np.arange(len(self.bars)), np.array(self.bars) + 1)
-        return owner[:, None] == np.arange(len(self.bars))[None, :]
+        return self.owner_of_feature[:, None] == np.arange(len(self.bars))[None, :]
+
+    @cached_property
+    def owner_of_feature(self) -> np.ndarray:
+        """(features,) whole numbers: the same as an index."""
+        return np.repeat(np.arange(len(self.bars), dtype=np.int32), np.array(self.bars) + 1)
 
     @cached_property
     def first_feature(self) -> np.ndarray:

@@ -41,7 +41,7 @@ def motion(scene: Scene, states: State) -> Motion:
         at, _, touching = look(model, state)
         speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
         wanted, press = commanded_speed(model, touching, keep_all(model))
-        fed = Feeding(speed, wanted, press > 0, surface_speeds(model, touching, keep_all(model)))
+        fed = Feeding(speed, wanted, press > 0, surface_speeds(model, touching))
         return Motion(energies(model, state, touching, keep_all(model)), fed)
 
     return jax.lax.map(at_frame, states)

@@ -37,20 +37,22 @@ from diffeed.readings.trajectory import Parts
 
 
 class Seen(NamedTuple):
-    """One step: states before and after, and a look at the state before (shafts at its own time)."""
+    """One step: states before and after, and a look at the state before (shafts at its own time). Its `share` (s) of an integral
+    is half of this step and of the one before: the trapezoidal rule."""
 
     before: State
     after: State
     h: Array
+    share: Array
     touching: Contacts
     kept: Kept  # the pairs that were looked at: all, or those that may touch
 
 
 class End:
-    """Where a run ended. Its contacts, of all pairs, are looked at once for all observers that ask."""
+    """Where a run ended, and the `share` (s) of that look. The contacts, of all pairs, are looked at once for all that ask."""
 
-    def __init__(self, model: Model, state: State) -> None:
-        self.model, self.state = model, state
+    def __init__(self, model: Model, state: State, share: Array) -> None:
+        self.model, self.state, self.share = model, state, share
 
     @functools.cached_property
     def touching(self) -> Contacts:
@@ -74,9 +76,8 @@ class Observer(NamedTuple):
 
 @record
 class NipSums:
-    """Running sums per roller, (rollers,) in sorted order: integrals by the trapezoidal rule."""
+    """Running sums per roller, (rollers,) in sorted order."""
 
-    half: Any  # s, () half of the last step: it belongs to the next look
     time: Any
     slip: Any
     slip2: Any
@@ -121,19 +122,16 @@ def nip_unit(field: str) -> str:
 
 def _nips_start(model: Model, scene: Scene, state: State) -> NipSums:
     zero = jnp.zeros((model.rollers.n,))
-    sums = {name: zero for name in NipSums.__dataclass_fields__}  # type: ignore[attr-defined]
-    return NipSums(**sums | {"half": jnp.zeros(())})
+    return NipSums(**{name: zero for name in NipSums.__dataclass_fields__})  # type: ignore[attr-defined]
 
 
 def _nips_update(model: Model, scene: Scene, sums: NipSums, seen: Seen) -> NipSums:
-    half = 0.5 * seen.h
-    return replace(_nips_add(sums, on_rollers(model, seen.touching, seen.kept), sums.half + half), half=half)
+    return _nips_add(sums, on_rollers(model, seen.touching, seen.kept), seen.share)
 
 
-def _nips_add(sums: NipSums, now: Pressed, time: Array) -> NipSums:
-    h = jnp.where(now.force > 0, time, 0.0)
+def _nips_add(sums: NipSums, now: Pressed, share: Array) -> NipSums:
+    h = jnp.where(now.force > 0, share, 0.0)
     return NipSums(
-        half=sums.half,
         time=sums.time + h,
         slip=sums.slip + h * now.slip,
         slip2=sums.slip2 + h * now.slip**2,
@@ -152,7 +150,7 @@ def _root(x: Array) -> Array:
 
 
 def _nips_close(model: Model, scene: Scene, sums: NipSums, end: End) -> Parts[NipStats]:
-    sums = _nips_add(sums, on_rollers(model, end.touching, keep_all(model)), sums.half)
+    sums = _nips_add(sums, on_rollers(model, end.touching, keep_all(model)), end.share)
     t = sums.time
     block = NipStats(
         contact_time=t,
@@ -233,36 +231,31 @@ def _arrivals_close(model: Model, scene: Scene, past: Arrivals, end: End) -> dic
 
 @record
 class EnergySums:
-    """Time integrals of powers by the trapezoidal rule."""
+    """Time integrals of powers."""
 
     work: Any  # Powers, N mm
-    last: Any  # Powers at the last look
-    time: Any
     begun: Any  # N mm stored at the start
 
 
 def _energy_start(model: Model, scene: Scene, state: State) -> EnergySums:
-    # The first look is at this same time: over no time, the powers before it do not count.
     none = Powers(*[jnp.zeros(())] * len(Powers._fields))
-    return EnergySums(work=none, last=none, time=state.time, begun=_stored(model, state, look(model, state)[2]))
+    return EnergySums(work=none, begun=_stored(model, state, look(model, state)[2]))
 
 
 def _stored(model: Model, state: State, touching: Contacts) -> Array:
     return jnp.sum(jnp.stack(energies(model, state, touching, keep_all(model))))
 
 
-def _energy_add(sums: EnergySums, state: State, now: Powers) -> EnergySums:
-    half = 0.5 * (state.time - sums.time)
-    work = Powers(*(w + half * (a + b) for w, a, b in zip(sums.work, sums.last, now, strict=True)))
-    return replace(sums, work=work, last=now, time=state.time)
+def _energy_add(sums: EnergySums, now: Powers, share: Array) -> EnergySums:
+    return replace(sums, work=jax.tree.map(lambda work, power: work + share * power, sums.work, now))
 
 
 def _energy_update(model: Model, scene: Scene, sums: EnergySums, seen: Seen) -> EnergySums:
-    return _energy_add(sums, seen.before, powers(model, seen.before, seen.touching, seen.kept))
+    return _energy_add(sums, powers(model, seen.before, seen.touching, seen.kept), seen.share)
 
 
 def _energy_close(model: Model, scene: Scene, sums: EnergySums, end: End) -> dict[str, Array]:
-    done = _energy_add(sums, end.state, powers(model, end.state, end.touching, keep_all(model)))
+    done = _energy_add(sums, powers(model, end.state, end.touching, keep_all(model)), end.share)
     return done.work._asdict() | {"stored": _stored(model, end.state, end.touching) - sums.begun}
 
 
@@ -335,76 +328,70 @@ class Feed:
     stall: Any = number(unit="s", doc="time of the present stall")
 
 
-@record
-class FeedSums:
-    """The same so far, integrals by the trapezoidal rule, and half of the last step, s: it belongs to the next look."""
-
-    feed: Feed
-    half: Any
-
-
-def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
-    """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
-    force, kg mm/s2."""
-    n, circles = model.rollers.n, len(model.circle_names)
-    if touching.sheets is None or n == 0:
-        nothing = jnp.zeros((len(model.layout.names),))
-        return nothing, nothing
-    near = slice(kept.n_circles)
+def _driven(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
+    """Of the kept pairs with circles: by how much driven rollers press, kg mm/s2, and that times their surface speed along the
+    heading of the sheet."""
+    n, circles, near = model.rollers.n, len(model.circle_names), slice(kept.n_circles)
+    assert touching.sheets is not None
     pairs, of_near = jax.tree.map(lambda v: v[near], touching.sheets), part(kept.pairs, kept.pairs, near)
     c, s = heading(model, touching.at, pairs, of_near)
     driven, speed = np.zeros(circles), jnp.zeros((circles,)).at[:n].set(touching.spin * model.rollers.radius)
     driven[:n] = model.rollers.driven
     force = pairs.touch.force * pick(jnp.asarray(driven, pairs.gap.dtype), kept.circle_index)
-    pull = force * (pairs.nx * s - pairs.ny * c) * pick(speed, kept.circle_index)
+    return force, force * (pairs.nx * s - pairs.ny * c) * pick(speed, kept.circle_index)
+
+
+def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
+    """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
+    force, kg mm/s2."""
+    if touching.sheets is None or model.rollers.n == 0:
+        nothing = jnp.zeros((len(model.layout.names),))
+        return nothing, nothing
+    force, pull = _driven(model, touching, kept)
     # One product instead of slices: each slice would compute the contact law again.
     own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
+    of_near = part(kept.pairs, kept.pairs, slice(kept.n_circles))
     pull, force = by_feature(model, jnp.stack([pull, force]), of_near) @ own
     return divide(pull, force), force
 
 
-def surface_speeds(model: Model, touching: Contacts, kept: Kept) -> Array:
+def surface_speeds(model: Model, touching: Contacts) -> Array:
     """(sheets, rollers) mm/s: surface speed along the heading of each driven roller that touches a sheet, else 0; of contacts
     that hold every body."""
     n = model.rollers.n
     if touching.sheets is None or n == 0:
         return jnp.zeros((len(model.layout.names), n))
-    pairs: Any = jax.tree.map(lambda v: v[:n], touching.sheets)
-    c, s = heading(model, touching.at, pairs, None)
-    force = pairs.touch.force * np.asarray(model.rollers.driven, float)[:, None]
-    speed = (pairs.nx * s - pairs.ny * c) * (touching.spin * model.rollers.radius)[:, None]
-    own = jnp.asarray(model.layout.sheet_of_feature, force.dtype)
-    return divide((force * speed) @ own, force @ own).T
+    force, pull = (v[:n] for v in _driven(model, touching, keep_all(model)))
+    own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
+    return divide(pull @ own, force @ own).T
 
 
-def _feed_start(model: Model, scene: Scene, state: State) -> FeedSums:
+def _feed_start(model: Model, scene: Scene, state: State) -> Feed:
     zero = jnp.zeros((len(model.layout.names),))
-    nothing = Feed(fed=zero, driven=zero, commanded=zero, longest_stall=zero, stall=zero)
-    return FeedSums(feed=nothing, half=jnp.zeros(()))
+    return Feed(fed=zero, driven=zero, commanded=zero, longest_stall=zero, stall=zero)
 
 
-def _feed_update(model: Model, scene: Scene, sums: FeedSums, seen: Seen) -> FeedSums:
-    half = 0.5 * seen.h
-    return FeedSums(feed=_feed_add(model, sums.feed, seen.touching, seen.kept, sums.half + half), half=half)
+def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
+    return _feed_add(model, feed, seen.touching, seen.kept, seen.share)
 
 
-def _feed_add(model: Model, feed: Feed, touching: Contacts, kept: Kept, h: Array) -> Feed:
+def _feed_add(model: Model, feed: Feed, touching: Contacts, kept: Kept, share: Array) -> Feed:
     at = touching.at
     speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
     wanted, _ = commanded_speed(model, touching, kept)
     stalled = (jnp.abs(wanted) > 0) & (speed * jnp.sign(wanted) < 0.1 * jnp.abs(wanted))
-    stall = jnp.where(stalled, feed.stall + h, 0.0)
+    stall = jnp.where(stalled, feed.stall + share, 0.0)
     return Feed(
-        fed=feed.fed + h * speed,
-        driven=feed.driven + jnp.where(wanted != 0, h * speed, 0.0),
-        commanded=feed.commanded + h * wanted,
+        fed=feed.fed + share * speed,
+        driven=feed.driven + jnp.where(wanted != 0, share * speed, 0.0),
+        commanded=feed.commanded + share * wanted,
         longest_stall=jnp.maximum(feed.longest_stall, stall),
         stall=stall,
     )
 
 
-def _feed_close(model: Model, scene: Scene, sums: FeedSums, end: End) -> dict[str, Feed]:
-    feed = _feed_add(model, sums.feed, end.touching, keep_all(model), sums.half)
+def _feed_close(model: Model, scene: Scene, feed: Feed, end: End) -> dict[str, Feed]:
+    feed = _feed_add(model, feed, end.touching, keep_all(model), end.share)
     names = Feed.__dataclass_fields__  # type: ignore[attr-defined]
     return {
         sheet: replace(feed, **{name: getattr(feed, name)[k] for name in names})

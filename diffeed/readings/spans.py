@@ -53,6 +53,7 @@ def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
     force = by_circle(model, kept, seen.touching.sheets.touch.force[None, None, : kept.n_circles], driven)[0]
     found = [_spans(model, scene, k, name, tension, force) for k, name in enumerate(model.layout.names)]
     weight, pull, ratio = (jnp.stack(v) for v in zip(*found, strict=True))  # (sheets, pairs) each
+    # What joints pull is a number of the step, not of its ends: it counts for all of it.
     h = jnp.where(jnp.sum(weight, axis=1) > 0, seen.h, 0.0)
     count = jnp.sum(weight, axis=1)
     return SpanSums(

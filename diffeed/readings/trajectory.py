@@ -142,7 +142,7 @@ class Trajectory:
 @record
 class Resume:
     """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s),
-    the sheets' energy and the error so far."""
+    the sheets' energy, the error so far and half of the last step."""
 
     state: State  # at the end of the run
     cause: Any  # number of the cause of a failure, 0 for none
@@ -151,6 +151,7 @@ class Resume:
     next_step: Any  # s
     book: Any  # of the sheets' energy
     error: Any  # mm, so far
+    half: Any  # s, of the last step: in an integral by the trapezoidal rule it belongs to the next look
 
 
 FRAMED = ("time", "sheets", "rollers", "guides", "states")

@@ -115,60 +115,44 @@ def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
         LET_GO: f"{name} stalled: no driven roller holds it",
     }[reason]
     status = STATUSES[int(found.status)]
-    if reason == LATE:
-        text += _still_to_go(scene, trajectory, name)
     if status != "passed":
-        text += _wrong_way(scene, trajectory, name)
+        fed = motion(scene, trajectory.states).fed
+        fed = Feeding(*(v[:, sorted(scene.sheets).index(name)] for v in fed))
+        text += _still_to_go(scene, trajectory, name, fed) if reason == LATE else ""
+        text += _wrong_way(scene, trajectory, name, fed)
     place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
     return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
 
 
-def _still_to_go(scene: Scene, trajectory: Trajectory, name: str) -> str:
+def _still_to_go(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) -> str:
     """Where the tail is at the end, and how fast its sheet moves: a run that is only too short is seen at once."""
     way = np.asarray(trajectory.sheets[name].nodes)[-1, -1] - np.asarray(scene.sensors[scene.goal].position)
-    speed = float(motion(scene, trajectory.states).fed.speed[-1, sorted(scene.sheets).index(name)])
-    return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {speed:.3g} mm/s"
+    return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {float(fed.speed[-1]):.3g} mm/s"
 
 
-def _wrong_way(scene: Scene, trajectory: Trajectory, name: str) -> str:
-    """What of the directions that a user gives may be why a sheet did not pass, in words."""
+def _wrong_way(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) -> str:
+    """What of the directions that a user gives may be why a sheet did not pass, in words. `fed`: of this sheet, (frames, ...)."""
     told, turns = "", "the angles and speeds of rollers are positive counter-clockwise"
-    if back := _driven_back(scene, trajectory, name):
+    back = -float(np.trapezoid(np.asarray(fed.wanted), np.asarray(trajectory.time)))
+    if back > BACK * float(scene.sheets[name].length):
         told = f", driven backwards by {back:.3g} mm ({turns})"
-    elif pair := _against_each_other(scene, trajectory, name):
-        told = f"; {pair[0]} drives it forwards and {pair[1]} backwards at the same time ({turns})"
-    if scene.goal and _crossed(scene, trajectory, name, -1.0):
+    elif pair := _against_each_other(np.asarray(fed.surface)):
+        forwards, backwards = (jax.eval_shape(build, scene).rollers.names[k] for k in pair)
+        told = f"; {forwards} drives it forwards and {backwards} backwards at the same time ({turns})"
+    if scene.goal and bool(jnp.any(_crosses(scene, trajectory, name, -1.0))):
         told += f"; its tail passed sensor {scene.goal} against the sensor's direction"
     return told
 
 
-def _against_each_other(scene: Scene, trajectory: Trajectory, name: str) -> tuple[str, str] | None:
-    """Two driven rollers that pull a sheet either way at once, in a good part of the frames in which any drives it."""
-    speed = np.asarray(motion(scene, trajectory.states).fed.surface)[:, sorted(scene.sheets).index(name)]
-    if not speed.shape[1]:
-        return None
-    least, most = speed.min(axis=1), speed.max(axis=1)
-    at_odds = (least < 0) & (most > 0) & (np.minimum(-least, most) > AT_ODDS * np.maximum(-least, most))
+def _against_each_other(speed: np.ndarray) -> tuple[int, int] | None:
+    """Of the (frames, rollers) surface speeds of what drives a sheet two that pull it either way, in a good part of the frames
+    in which any does."""
+    least, most = speed.min(axis=1, initial=0.0), speed.max(axis=1, initial=0.0)
+    at_odds = np.minimum(-least, most) > AT_ODDS * np.maximum(-least, most)
     if at_odds.sum() <= AT_ODDS * np.any(speed != 0, axis=1).sum():
         return None
-    names, mean = jax.eval_shape(build, scene).rollers.names, speed[at_odds].mean(axis=0)
-    return names[int(mean.argmax())], names[int(mean.argmin())]
-
-
-def _crossed(scene: Scene, trajectory: Trajectory, name: str, way: float) -> bool:
-    """Whether the tail is seen to cross the goal's gate, along its direction (+1) or against it (-1)."""
-    sensor = scene.sensors[scene.goal]
-    along = way * np.asarray(sensor.direction) / np.hypot(*np.asarray(sensor.direction))
-    offset = np.asarray(trajectory.sheets[name].nodes)[:, -1] - np.asarray(sensor.position)
-    ahead, beside = offset @ along, np.abs(offset @ np.array([-along[1], along[0]]))
-    return bool(np.any((ahead[:-1] < 0) & (ahead[1:] >= 0) & (beside[1:] < float(sensor.range))))
-
-
-def _driven_back(scene: Scene, trajectory: Trajectory, name: str) -> float:
-    """mm by which driven rollers fed a sheet backwards, if that is a good part of its length, else 0."""
-    fed, k = motion(scene, trajectory.states).fed, sorted(scene.sheets).index(name)
-    way = float(np.trapezoid(np.asarray(fed.wanted)[:, k], np.asarray(trajectory.time)))
-    return -way if way < -BACK * float(scene.sheets[name].length) else 0.0
+    mean = speed[at_odds].mean(axis=0)
+    return int(mean.argmax()), int(mean.argmin())
 
 
 def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:
@@ -206,12 +190,18 @@ def _passed_goal(scene: Scene, trajectory: Trajectory, name: str) -> Array:
         return jnp.asarray(jnp.inf)
     if "arrivals" in trajectory.observed:
         return trajectory.observed["arrivals"][name][scene.goal]["tail"]
+    crossed = _first(_crosses(scene, trajectory, name, 1.0))
+    return jnp.concatenate([trajectory.time[1:], jnp.full((1,), jnp.inf)])[crossed]
+
+
+def _crosses(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> Array:
+    """(frames - 1,) bool: whether between two frames the tail crosses the goal's gate, along its direction (`sense` 1) or
+    against it (-1)."""
     sensor = scene.sensors[scene.goal]
-    way = sensor.direction / jnp.sqrt(jnp.sum(sensor.direction**2))
+    way = sense * sensor.direction / jnp.sqrt(jnp.sum(sensor.direction**2))
     offset = trajectory.sheets[name].nodes[:, -1] - sensor.position[None]
     along, across = offset @ way, jnp.abs(offset[:, 1] * way[0] - offset[:, 0] * way[1])
-    crossed = _first((along[:-1] < 0) & (along[1:] >= 0) & (across[1:] < sensor.range))
-    return jnp.concatenate([trajectory.time[1:], jnp.full((1,), jnp.inf)])[crossed]
+    return (along[:-1] < 0) & (along[1:] >= 0) & (across[1:] < sensor.range)
 
 
 def _is_folded(headings: Array) -> Array:

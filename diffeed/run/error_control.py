@@ -4,7 +4,8 @@ Each attempt goes the same way in one step and in two halves (`steppers/extrapol
 error of the whole step. Too large: the state stands and the next attempt is shorter. Step lengths are found in a loop that
 ends when the run does; no step goes past a time at which a drive, guide or clamp changes how it moves, for what happens
 within a step both ways may miss. A derivative is then taken through the accepted steps, in a scan of static length in which
-the rest is skipped. The lengths themselves are held fixed: the derivative is that of the steps taken, as with a given step.
+the rest is skipped. The lengths themselves are held fixed: the derivative is that of the steps taken, as with a given step. Only
+where a step ends at such a time its end goes along with it: a pulse that comes later is run through in the same steps, later.
 """
 
 import functools
@@ -17,7 +18,9 @@ from jax import Array, lax
 from diffeed.base.records import replace
 from diffeed.chain.kinematics import node_velocities, nodes, pose
 from diffeed.chain.state import State
+from diffeed.contact.bodies import spins
 from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, search
+from diffeed.contact.profile import all_times
 from diffeed.faults.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -100,7 +103,7 @@ def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Res
 def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
     found = lax.stop_gradient(_find(control, *given))
     replay = functools.partial(_replay, control, found.schedule, found.progress)
-    return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative: steps are held fixed
+    return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative
 
 
 def _find(control: Control, limits: Limits, model: Model, scene: Scene, first: Resume) -> _Search:
@@ -184,9 +187,9 @@ def _attempts(
     def attempt(block: _Block) -> _Block:
         before = block.progress
         time = before.state.time
-        stop = jnp.minimum(
-            until, jnp.min(jnp.where(corners > time + _smallest(time), corners, jnp.inf), initial=jnp.inf)
-        )
+        # No stub beside a corner, neither after one that is just passed nor before a frame that is a rounding later.
+        ahead = (corners > time + _smallest(time)) & (corners + _smallest(until) < until)
+        stop = jnp.min(jnp.where(ahead, corners, until), initial=until)
         left = stop - time
         # Two equal steps rather than a long one and a stub.
         h = jnp.where(block.h >= left, left, jnp.minimum(block.h, 0.5 * left))
@@ -209,9 +212,7 @@ def _attempts(
 
 def _corners(model: Model) -> Array:
     """(times,) s, at which something prescribed changes how it moves."""
-    paths = [*model.paths.values(), *(hold.path for hold in model.holds if hold.path is not None)]
-    times = [drives.times.ravel() for drives in model.rollers.drives if drives.times.shape[1] > 1]
-    return jnp.concatenate([jnp.zeros((0,)), *times, *(path.times for path in paths)])
+    return jnp.concatenate([jnp.zeros((0,)), *(times.ravel() for times in all_times(model))])
 
 
 def _next(h: Array, planned: Array, error: Array, good: Array, tolerance: Array) -> Array:
@@ -241,8 +242,9 @@ def _error(model: Model, ways: Ways) -> Array:
 def _replay(
     control: Control, schedule: Schedule, found: Resume, model: Model, scene: Scene, first: Resume
 ) -> tuple[Resume, State, Array]:
-    """The same run with given steps: what a derivative goes through. Whether it failed is known already."""
-    stepper = ESTIMATING[control.method].step
+    """The same run with given steps: what a derivative goes through. Whether it failed is known already, but single precision
+    may lose a step here that it found there: that is told."""
+    stepper, courses = ESTIMATING[control.method].step, all_times(model)
 
     def one_block(carry: Resume, lengths: Array) -> tuple[Resume, State]:
         def work(carry: Resume) -> Resume:
@@ -252,8 +254,9 @@ def _replay(
             @recomputed
             def one_step(carry: Resume, h: Array) -> tuple[Resume, None]:
                 def go(carry: Resume) -> Resume:
-                    after, touching = stepper(model, carry.state, h, candidates.kept)
-                    return taken(model, scene, carry, after, touching, h, candidates.kept, control.observe)
+                    length = h + _goes_along(courses, carry.state.time, h, found.state.time)
+                    after, touching = stepper(model, carry.state, length, candidates.kept)
+                    return taken(model, scene, carry, after, touching, length, candidates.kept, control.observe)
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None
 
@@ -264,5 +267,44 @@ def _replay(
         return carry, carry.state
 
     last, states = lax.scan(one_block, first, schedule.lengths)
-    last = replace(last, cause=found.cause, failed_at=found.failed_at, next_step=found.next_step)
-    return last, jax.tree.map(lambda v: v[schedule.ends], states), schedule.taken
+    known = found.cause > 0
+    cause = jnp.where(known, found.cause, last.cause)
+    failed_at = jnp.where(known, found.failed_at, last.failed_at)
+    last = replace(last, cause=cause, failed_at=failed_at, next_step=found.next_step)
+    at_frames = jax.tree.map(lambda v: v[schedule.ends], states)
+    return last, _at_fixed_times(model, at_frames) if courses else at_frames, schedule.taken
+
+
+def _goes_along(courses: list[Array], time: Array, h: Array, last: Array) -> Array:
+    """0, which changes as the step must: its start where the step before ended, its end at the corner that is there, if one is.
+    The run itself ends when it does, at `last`. Where several of the `courses`, (parts, points) s each, have a corner there, it
+    goes along with their mean: right where they move together."""
+    start = lax.stop_gradient(time)
+    end, parts, later = start + h, jnp.zeros_like(h), jnp.zeros_like(h)
+    for times in courses:
+        at = lax.stop_gradient(times)
+        here = ((jnp.abs(at - end) <= _smallest(end)) & (at < last - _smallest(last))).astype(h.dtype)
+        count = jnp.sum(here, axis=1)  # more than one of a shorter profile among drives, whose last point is repeated
+        parts = parts + jnp.sum(jnp.minimum(count, 1.0))
+        later = later + jnp.sum(jnp.sum(here * (times - at), axis=1) / jnp.maximum(count, 1.0))
+    return later / jnp.maximum(parts, 1.0) - (time - start)
+
+
+def _at_fixed_times(model: Model, states: State) -> State:
+    """The same states, which change as those at their frames' times do where a frame's end went along with a corner: places by
+    their speeds. Speeds have a corner there themselves: theirs stay those at the corner, and what is read of both sheets and
+    bodies at such a frame (slip, gap, force) has no derivative by its time that holds."""
+    late = states.time - lax.stop_gradient(states.time)
+
+    def back(places: Array, speeds: Array) -> Array:
+        return places - late.reshape(-1, *[1] * (places.ndim - 1)) * speeds
+
+    return replace(
+        states,
+        time=states.time - late,
+        x=back(states.x, states.vx),
+        y=back(states.y, states.vy),
+        heading=back(states.heading, states.rate),
+        travel=back(states.travel, states.travel_rate),
+        angle=back(states.angle, jax.vmap(lambda state: spins(model, state, state.time))(states)),
+    )

@@ -16,8 +16,9 @@ from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.candidates import Candidates, check_reach
 from diffeed.contact.crossing import misplaced_at
 from diffeed.contact.kept import Kept, keep_all
+from diffeed.contact.profile import in_order
 from diffeed.faults import balance, judge
-from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, TOO_MANY_NEAR
+from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, OUT_OF_ORDER, TOO_MANY_NEAR
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -49,7 +50,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
             with jax.named_scope("settle"):
                 state, found = settle_model(model, state)
     state = _all_with_tangents(state)
-    cause = jnp.where(found, 0, NO_REST).astype(jnp.int32)
+    cause = jnp.where(found, jnp.where(in_order(model), 0, OUT_OF_ORDER), NO_REST).astype(jnp.int32)
     start = {name: OBSERVERS[name].start(model, scene, state) for name in observe}
     at, world = pose(model, state), bodies(model, state, state.time, state.time)
     cause = jnp.where(cause == 0, _misplaced(model, at, world), cause).astype(jnp.int32)
@@ -63,6 +64,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
         next_step=jnp.full((), FIRST, dtype),
         book=book,
         error=jnp.zeros((), dtype),
+        half=jnp.zeros((), dtype),
     )
     # No weak types: what goes on from the end of a run is the same program as what goes on from here.
     return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), made)
@@ -97,7 +99,9 @@ def taken(
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
     if observe:
-        opened = _observed(model, scene, carry.open, Seen(before, after, h, touching, kept), observe)
+        opened = _observed(
+            model, scene, carry.open, Seen(before, after, h, carry.half + 0.5 * h, touching, kept), observe
+        )
     return Resume(
         state=jax.tree.map(lambda a, b: jnp.where(fine, a, b), after, before),
         cause=jnp.where(carry.cause == 0, cause, carry.cause),
@@ -106,6 +110,7 @@ def taken(
         next_step=carry.next_step,
         book=book,  # of no use once a run has failed
         error=carry.error + jnp.where(fine, leap, 0.0),
+        half=jnp.where(fine, 0.5 * h, carry.half),
     )
 
 
@@ -143,18 +148,21 @@ def searched(model: Model, found: Candidates, begun: Resume, carry: Resume) -> R
     near_enough = check_reach(judged, found, reached, at, world)
     unseen = jnp.where(found.complete, MOVED_TOO_FAR, TOO_MANY_NEAR)
     cause = jnp.where(near_enough, _misplaced(judged, at, world), unseen)
-    book, good = carry.book, (carry.state, carry.open, carry.error)
+    book, good = carry.book, (carry.state, carry.open, carry.error, carry.half)
     if balance.is_kept(model):
         book, gained = balance.judged(judged, lax.stop_gradient(book), reached, at, found.pace)
         gained &= (carry.cause == 0) & (cause == 0)
         cause = jnp.where(gained, FROM_NOWHERE, cause)
-        good = jax.tree.map(lambda a, b: jnp.where(gained, a, b), (begun.state, begun.open, begun.error), good)
-    lost, (state, seen, error) = (carry.cause == 0) & (cause > 0), good
+        good = jax.tree.map(
+            lambda a, b: jnp.where(gained, a, b), (begun.state, begun.open, begun.error, begun.half), good
+        )
+    lost, (state, seen, error, half) = (carry.cause == 0) & (cause > 0), good
     return replace(
         carry,
         state=state,
         open=seen,
         error=error,
+        half=half,
         cause=jnp.where(lost, cause, carry.cause).astype(jnp.int32),
         failed_at=jnp.where(lost, carry.state.time, carry.failed_at),
         book=book,

@@ -14,7 +14,7 @@ from diffeed.chain.state import State
 from diffeed.contact.candidates import search
 from diffeed.contact.crossing import misplaced
 from diffeed.contact.kept import keep_all
-from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, TOO_DEEP, UNRESOLVED
+from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, OUT_OF_ORDER, TOO_DEEP, UNRESOLVED
 from diffeed.faults.judge import severity
 from diffeed.input.check_records import checked
 from diffeed.input.check_values import show
@@ -87,8 +87,8 @@ def simulate(
     in every step (`diffeed.OBSERVERS`). A run that fails is a value: `trajectory.ok`, `trajectory.failure`.
 
     With a `tolerance` (mm, error of one step; may be traced) steps are chosen by their error, none longer than `dt` (2e-3
-    if None) and at most `most_steps` together, which is static: a derivative passes through that many places, a run that
-    needs more fails.
+    if None), none past a time at which a profile or a motion changes its course, and at most `most_steps` together, which is
+    static: a derivative passes through that many places, a run that needs more fails.
 
     Raises TypeError for what is no scene, SceneError for numbers that none can have (as far as they are not traced), ValueError
     for another argument that makes no sense; `diffeed.check` judges the scene's geometry too.
@@ -219,7 +219,7 @@ def _trajectory(
 ) -> Trajectory:
     """Look at the frames."""
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
-    end = End(model, last.state)
+    end = End(model, last.state, last.half)
     part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
@@ -233,7 +233,7 @@ def _trajectory(
         failure=Failure(
             time=last.failed_at,
             cause=last.cause,
-            part=jnp.where(last.cause > NO_REST, part, -1),
+            part=jnp.where((last.cause > NO_REST) & (last.cause != OUT_OF_ORDER), part, -1),
             parts=part_names(model),
         ),
         observed={name: OBSERVERS[name].close(model, scene, last.open[name], end) for name in observe},

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 DIRECTIONS = 16
-RINGS = (3.0, 10.0, 18.0, 28.0, 40.0)
+RINGS = (3.0, 10.0, 18.0, 28.0, 40.0, 54.0)
 PER_DISTANCE, PER_WRONG_SIDE, PER_OBSTACLE, PER_OVERLAP = 0.25, 6.0, 2.0, 1.0
 PER_NEARER_OTHER = 1.0
 """For each point by which a label stands nearer to what another names than to its own: it would be read as that one's."""

@@ -8,7 +8,7 @@ from jax import Array
 
 from diffeed.base.records import replace
 from diffeed.chain.kinematics import pose
-from diffeed.chain.state import State
+from diffeed.chain.state import State, total_per_sheet
 from diffeed.contact.bodies import bodies
 from diffeed.contact.kept import Kept, keep_all
 from diffeed.forces.clamps import by_direction, hold_target, walls
@@ -98,7 +98,7 @@ def generalised_inertia(model: Model, state: State) -> Array:
     bars, layout = model.bars, model.layout
     moved = jax.jacfwd(lambda h: pose(model, replace(state, heading=h))[:2])(state.heading)
     turning = bars.inertia + sum(jnp.sum(bars.mass[:, None] * j * j, axis=0) for j in moved)
-    total = jnp.stack([jnp.sum(bars.mass[s]) for s in layout.slices()])
+    total = total_per_sheet(layout, bars.mass)
     return jnp.concatenate([total, total, turning, model.rollers.mass, model.rollers.inertia])
 
 

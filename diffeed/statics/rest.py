@@ -16,8 +16,8 @@ from diffeed.base.records import replace
 from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
-from diffeed.contact.bodies import interpolate
 from diffeed.contact.kept import keep_all
+from diffeed.contact.profile import interpolate
 from diffeed.input.check_records import checked
 from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene, warn_if_single

@@ -36,7 +36,7 @@ PASSES = 5
 def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
     """One step; also the contacts of the state it started from."""
     half = 0.5 * h
-    guess, touching = linear_euler.step(model, state, half, kept)
+    guess, touching = linear_euler.guess(model, state, half, kept)
     # From there on a deflection that nothing presses would only change its sign with every pass.
     state = replace(state, grip=stick.pressed_only(model, state.grip, touching.sheets, kept))
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from diffeed.base.folders import OutputError, holding, plain_errors, publishing, refuse_overwriting
-from diffeed.base.terminal import SETTINGS, Refusal, console, refusing
+from diffeed.base.terminal import SETTINGS, Refusal, console, once_more, refusing
 
 SCENE = click.option("--scene", help="Another scene of the same parts (an improved one), instead of the study's.")
 
@@ -144,10 +144,10 @@ def _problem(where: str, scene: str | None, changes: dict[str, Any]) -> Any:
 
 def _run(
     problem: Any, out: Path | None, resume: bool, force: bool, before: Path | None, gradients: int, indices: int | None,
-    chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool,
-    confirm: bool, **_: Any,
+    chunk: int | None, workers: int | None, scheduler: str | None, no_pictures: bool, confirm: bool,
+    **_: Any,
 ) -> None:  # fmt: skip
-    from optimize.tolerance import contributions
+    from optimize.tolerance import confirmation, contributions
     from optimize.tolerance.folder import INDICES, Folder, read_rows
     from optimize.tolerance.report import print_summary, write_result
     from optimize.tolerance.study import drawn, run_study
@@ -171,7 +171,7 @@ def _run(
         count = min(gradients, len(rows.sample))
         click.echo(f"gradients at {count} samples", err=True)
         slopes = contributions.slopes(problem, rows.deviation[:count])
-    confirmed = _confirmed(problem, rows) if confirm else None
+    confirmed = once_more("some samples", lambda: confirmation.confirm(problem, rows)) if confirm else None
     summary = summarise(problem, rows, slopes, found, confirmed)
     print_summary(console(), summary, fails(problem, was) if was else None)
     if confirmed is not None:
@@ -180,20 +180,6 @@ def _run(
         with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
             names = write_result(out, problem, rows, summary, not no_pictures, was)
         click.echo(f"written to {out}: samples.csv, {', '.join(names)}")
-
-
-def _confirmed(problem: Any, rows: Any) -> Any:
-    """Some samples once more in shorter steps; None where that cannot be. Ctrl-C leaves it out."""
-    from optimize.tolerance.confirmation import confirm
-
-    click.echo("some samples once more, with shorter steps (--once leaves that out)", err=True)
-    try:
-        return confirm(problem, rows)
-    except KeyboardInterrupt:
-        click.echo("not confirmed: stopped by Ctrl-C", err=True)
-    except ValueError as problem:
-        click.echo(f"not confirmed: {problem}", err=True)
-    return None
 
 
 def _replay(problem: Any, out: Path, samples: tuple[int, ...], force: bool) -> None:

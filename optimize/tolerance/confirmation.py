@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffeed.readings.agreement import FINER
-from optimize.asked import run_problems
+from optimize.asked import refuse_runs
 from optimize.tolerance.problem import ToleranceProblem
 from optimize.tolerance.run import Rows, chosen
 from optimize.tolerance.study import here, run_rows
@@ -15,6 +15,8 @@ FEWEST, MOST, ONE_IN = 4, 16, 16
 """Samples that are run again: one in so many, so that it costs a quarter of a study; no fewer and no more than these."""
 GOOD_PART = 0.3
 """Of the standard deviation of a measure: what the steps leave of that size is told."""
+ROUNDING = 1e-9
+"""Of a value: smaller changes are those of rounding."""
 
 
 class Again(NamedTuple):
@@ -24,24 +26,43 @@ class Again(NamedTuple):
     of: int
 
 
+class Change(NamedTuple):
+    """What shorter steps change of a measure or limit; NaN where no sample has a value in both."""
+
+    mean: float
+    std: float  # about that mean
+    scatter: float  # standard deviation of the values of all samples
+    size: float  # the largest of them
+
+    def counts(self, part: float) -> bool:
+        """Whether a mean or std is a good part of the scatter, and more than rounding."""
+        return abs(part) > max(GOOD_PART * self.scatter, ROUNDING * self.size)
+
+
 class Confirmation(NamedTuple):
     """Samples of a study run again in steps `FINER` times shorter, or with such a tolerance."""
 
     samples: np.ndarray  # their indices: half of them did not pass, as far as there are such
     passed: Again  # of those that passed
     others: Again  # of those that did not
-    apart: dict[str, float]  # RMS of the change of each measure and limit; NaN where no sample has a value in both
-    scatter: dict[str, float]  # standard deviation of the same among all samples
+    parted: np.ndarray  # indices of those that came out otherwise
+    changes: dict[str, Change]
+    remedy: str  # what makes the steps of the study shorter, as a sentence begins
 
     @property
     def holds(self) -> bool:
         """Every one came out the same."""
-        return all(again.same == again.of for again in (self.passed, self.others))
+        return len(self.parted) == 0
 
     @property
     def unsure(self) -> list[str]:
         """Measures of whose scatter the steps make a good part."""
-        return [name for name, value in self.apart.items() if value > GOOD_PART * self.scatter[name]]
+        return [name for name, change in self.changes.items() if change.counts(change.std)]
+
+    @property
+    def shifted(self) -> list[str]:
+        """Measures that the steps shift for all samples alike by a good part of their scatter."""
+        return [name for name, change in self.changes.items() if change.counts(change.mean)]
 
     def sentence(self) -> str:
         """What it came to, in words."""
@@ -50,13 +71,16 @@ class Confirmation(NamedTuple):
             for again, what, too in ((self.passed, "passed", "pass too"), (self.others, "did not", "do not either"))
             if again.of
         ]
-        count = len(self.samples)
-        text = f"{count} samples run again in steps {FINER} times as fine: {', '.join(told)}."
+        text = f"{len(self.samples)} samples run again in steps {FINER} times as fine: {', '.join(told)}."
         if not self.holds:
-            text += " The steps decide on the others: give a smaller --dt, or the study a step_tolerance."
-        elif self.unsure:
-            text += f" Of the scatter of {', '.join(self.unsure)} the steps make a good part: a smaller --dt tells how much."
-        return text
+            text += f" The steps decide on the others ({', '.join(map(str, self.parted))})."
+        if self.shifted:
+            alike = (f"{name} by {self.changes[name].mean:.3g}" for name in self.shifted)
+            text += f" Finer steps shift all of them: {', '.join(alike)}."
+        if self.unsure:
+            text += f" Of the scatter of {', '.join(self.unsure)} the steps make a good part."
+        doubtful = not self.holds or self.shifted or self.unsure
+        return f"{text} {self.remedy} tells more." if doubtful else text
 
     def as_numbers(self) -> dict[str, Any]:
         """For the summary."""
@@ -65,33 +89,34 @@ class Confirmation(NamedTuple):
             "samples": self.samples.tolist(),
             "passed": self.passed._asdict(),
             "others": self.others._asdict(),
-            "apart": self.apart,
+            "parted": self.parted.tolist(),
+            "changes": {name: {"mean": c.mean, "std": c.std} for name, c in self.changes.items()},
         }
 
 
 def confirm(problem: ToleranceProblem, rows: Rows) -> Confirmation:
     """Run some of a study's samples again, here. Raises ValueError where such steps are more than a run may have."""
-    study, problems = problem.study.finer(), list[str]()
-    run_problems(study, problem.scene, "", problems)
-    if problems:
-        raise ValueError("; ".join(problems))
+    finer = replace(problem, study=problem.study.finer())
+    refuse_runs(finer.study, {"": problem.scene})
     before = chosen(rows, picked(rows.passed))
-    finer = replace(problem, study=study)
     after = run_rows(finer, before.deviation, here(finer, len(before.sample)))
     same, passed = before.passed == after.passed, before.passed
-    apart, scatter = {}, {}
-    for k, asked in enumerate(problem.asked):
-        change, values = after.values[:, k] - before.values[:, k], rows.values[:, k]
-        change, values = change[np.isfinite(change)], values[np.isfinite(values)]
-        apart[asked.name] = float(np.sqrt(np.mean(change**2))) if len(change) else np.nan
-        scatter[asked.name] = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
+    moved = after.values - before.values
     return Confirmation(
         before.sample,
         Again(int(same[passed].sum()), int(passed.sum())),
         Again(int(same[~passed].sum()), int((~passed).sum())),
-        apart,
-        scatter,
+        before.sample[~same],
+        {a.name: _change(moved[:, k], rows.values[:, k]) for k, a in enumerate(problem.asked)},
+        "A smaller --dt" if problem.study.step_tolerance is None else "A smaller step_tolerance of the study",
     )
+
+
+def _change(moved: np.ndarray, values: np.ndarray) -> Change:
+    moved, values = moved[np.isfinite(moved)], values[np.isfinite(values)]
+    std, scatter = (float(np.std(v, ddof=1)) if len(v) > 1 else np.nan for v in (moved, values))
+    mean = float(np.mean(moved)) if len(moved) else np.nan
+    return Change(mean, std, scatter, size=float(np.max(np.abs(values), initial=0.0)))
 
 
 def picked(passed: np.ndarray) -> np.ndarray:

@@ -44,11 +44,12 @@ def _gradient_of(problem: ToleranceProblem) -> Callable[[Array, Any], Array]:
     def values(d: Array, rest: Any) -> Array:
         scene = sampled(problem.inputs, problem.scene, d)
         run = run_of(problem, scene, rest)
-        return values_of(problem.asked, scene, run) * jnp.where(run.ok, 1.0, jnp.nan)
+        return jnp.where(run.ok, values_of(problem.asked, scene, run, found=True), jnp.nan)
 
     def gradient(row: Array, rest: Any) -> Array:
         """Of one measure; which one is the row's last number, so that a single program serves all of them."""
-        return jax.grad(lambda d: values(d, rest)[row[-1].astype(int)])(row[:-1])
+        value, slope = jax.value_and_grad(lambda d: values(d, rest)[row[-1].astype(int)])(row[:-1])
+        return jnp.where(jnp.isfinite(value), slope, jnp.nan)
 
     return gradient
 

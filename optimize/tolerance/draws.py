@@ -138,15 +138,11 @@ def _climate_problems(tolerances: dict[str, Tolerance]) -> Iterator[str]:
 
 def _targets(of: Tolerance) -> list[tuple[str | None, Moved]]:
     """What moves independently: each path or part by itself, unless tied."""
-    several = of.paths or of.shift or of.turn or []
-    if of.climate is not None or of.tied or len(several) == 1:
+    meaning = next(name for name in of.meanings if getattr(of, name))
+    several = of.paths or getattr(of, meaning)
+    if meaning == "climate" or of.tied or len(several) == 1:
         return [(None, of)]
-    if of.path:
-        single = [Moved(path=p) for p in several]
-    elif of.shift:
-        single = [Moved(shift=[p], direction=of.direction) for p in several]
-    else:
-        single = [Moved(turn=[p], about=of.about) for p in several]
+    single = [Moved(**{meaning: [one]}, direction=of.direction, about=of.about) for one in several]
     parts = [_part(p) for p in several]
     labels = parts if len(set(parts)) == len(parts) else several  # two numbers of one part: only whole paths differ
     return list(zip(labels, single, strict=True))
@@ -172,9 +168,7 @@ def _input(
         card, base = cards[of.climate]
         return Input(label, of, what, "1", None, 0.0, (of.climate, card, base))
     try:
-        for part in (*(what.shift or ()), *(what.turn or ())):
-            if not free.places(scene, part):
-                raise ValueError(f"{part} has no place that could move; name rollers or guides")
+        free.refuse_moves(scene, what)
         values = [number_at(scene, p) for p in what.paths]
         unit = free.unit_text(scene, what)
     except ValueError as error:

@@ -27,8 +27,4 @@ def _moved(scene: diffeed.Scene, given: Input, by: Array) -> diffeed.Scene:
         old = diffeed.get(scene, path)
         share = jnp.exp(by) if given.of.kind == "log_normal" else 1.0 + by
         scene = diffeed.put(scene, path, old * share if given.share else old + by)
-    for part in given.what.shift or ():
-        scene = free.shifted(scene, part, given.what.direction, by)
-    for part in given.what.turn or ():
-        scene = free.turned(scene, part, given.what.about, by)
-    return scene
+    return free.moved(scene, given.what, by)

@@ -10,7 +10,7 @@ from optimize.records import Limit, Measured, Moved, Name, Number, Pair, Positiv
 class Tolerance(Moved):
     """How one number, or each of several like ones, scatters about what the scene says.
 
-    `path`, `shift`, `turn` as for a design variable; `climate`: the climate of a sheet's media card, -1 dry to 1 humid.
+    `path`, `shift`, `turn`, `delay` as for a design variable; `climate`: the climate of a sheet's media card, -1 dry to 1 humid.
     Several paths or parts are drawn independently of each other, unless `tied`. The size is `sigma`, or `tolerance`, a
     plus-minus that stands for `sigmas` standard deviations (for uniform and triangular: its half width). `relative`: in
     shares of the nominal value. `offset`: the mean is off by so much (wear). `limits`: deviations that inspection lets
@@ -46,7 +46,7 @@ class Tolerance(Moved):
     """Heading of the values in that file."""
     cost: Positive | None = None
     """Of making the tolerance 10 % tighter, in any unit."""
-    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "climate")
+    meanings: ClassVar[tuple[str, ...]] = ("path", "shift", "turn", "delay", "climate")
 
     @model_validator(mode="after")
     def _one_size(self) -> "Tolerance":

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 
 import diffeed
 from diffeed import measures, player
@@ -29,11 +30,15 @@ def judged(problem: ToleranceProblem, scene: diffeed.Scene, run: diffeed.Traject
     values = values_of(problem.limits, scene, run, found=True)
     broken = broken_limits(problem.limits, values)
     named = [
-        f"{a.name} {limit_words(a)} (it is {value:.4g}{'' if a.term.unit == '1' else f' {a.term.unit}'})"
+        f"{a.name} {limit_words(a)} ({_value(float(value), a.term.unit)})"
         for a, value, is_broken in zip(problem.limits, values, broken, strict=True)
         if is_broken
     ]
     return f"{verdict}, but breaks its limits: {'; '.join(named)}" if named and bool(run.ok) else verdict
+
+
+def _value(value: float, unit: str) -> str:
+    return "never" if np.isinf(value) else f"it is {value:.4g}{'' if unit == '1' else f' {unit}'}"
 
 
 def replay(problem: ToleranceProblem, sample: int, folder: Path) -> tuple[Path, str]:

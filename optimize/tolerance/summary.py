@@ -45,6 +45,7 @@ def summarise(
     confirmed: Confirmation | None = None,
 ) -> dict[str, Any]:
     """Everything, ready for JSON: NaN and infinity become None."""
+    linked = correlation_of_deviations(problem.inputs)
     return plain({
         "title": problem.study.title,
         "samples": len(rows.sample),
@@ -52,7 +53,7 @@ def summarise(
         "fails": fails(problem, rows),
         "measures": {a.name: _measure(problem, rows, k, a) for k, a in enumerate(problem.asked)},
         "inputs": {i.name: {"kind": i.of.kind, "sigma": i.sigma, "unit": i.unit} for i in problem.inputs},
-        "contributions": {a.name: _blame(problem, rows, k, slopes, indices) for k, a in enumerate(problem.asked)},
+        "contributions": {a.name: _blame(problem, rows, k, linked, slopes, indices) for k, a in enumerate(problem.asked)},
         "tighten": tighten(problem, rows),
         "confirmed": None if confirmed is None else confirmed.as_numbers(),
     })  # fmt: skip
@@ -111,11 +112,15 @@ def _measure(problem: ToleranceProblem, rows: Rows, k: int, asked: Asked) -> dic
 
 
 def _blame(
-    problem: ToleranceProblem, rows: Rows, k: int, slopes: Slopes | None, indices: list[Indices] | None
+    problem: ToleranceProblem,
+    rows: Rows,
+    k: int,
+    linked: np.ndarray,
+    slopes: Slopes | None,
+    indices: list[Indices] | None,
 ) -> dict[str, Any]:
     """Shares of the variance of a measure, (inputs,) each, and how much of it a straight line explains."""
     fine = np.isfinite(rows.values[:, k])
-    linked = correlation_of_deviations(problem.inputs)
     straight = regression_shares(rows.deviation[fine], rows.values[fine, k], linked)
     sigma = np.array([i.sigma for i in problem.inputs])
     found: dict[str, Any] = {

@@ -23,9 +23,10 @@ class Charts {
   // One entry per part that passes and per run: {name, color, dash, values at this.times}.
   curves(section, read, passes = () => true) {
     const names = [...new Set(this.runs.flatMap((run) => Object.keys(run[section])))].sort();
-    const curve = (name, i, part, r) => ({
-      name, color: i % 7, dotted: i > 6, dash: r ? [5, 4] : i > 6 ? [1, 3] : [], values: resampled(this.runs[r].time, read(part), this.times),
-    });
+    const curve = (name, i, part, r) => {
+      const dotted = i > 6, values = resampled(this.runs[r].time, read(part), this.times);
+      return { name, color: i % 7, dotted, dash: r ? [5, 4] : dotted ? [1, 3] : [], values };
+    };
     return names.flatMap((name, i) => this.runs.flatMap((run, r) => {
       const part = run[section][name];
       return part !== undefined && passes(part) ? [curve(name, i, part, r)] : [];
