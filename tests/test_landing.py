@@ -54,6 +54,16 @@ def test_a_thrown_sheet_slides_as_far_as_it_must(how):
     assert float(way(run)) == pytest.approx(DUE, rel=0.02)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("dt", [1e-3, 4e-4])
+def test_midpoint_steps_that_do_not_resolve_a_landing_brake_as_much_as_they_must(dt):
+    """By forces of passes that had not come together it was turned about, from 600 to -187 mm/s, and held: 21 and 35 mm of 92.
+    Measured: 6 and 3 % off."""
+    run = diffeed.simulate(thrown(), frames=3, dt=dt, method="midpoint")
+    assert run.ok
+    assert float(way(run)) == pytest.approx(DUE, rel=0.1)
+
+
 @pytest.mark.parametrize("tilt", [1.0, 3.0])
 def test_a_sheet_that_lands_on_its_edge_is_braked_by_mu_times_the_normal_impulse(tilt):
     """It rocks and bounces; what gravity and its way down leave is the impulse of the table. Held to 0.8 % at this step; without

@@ -158,7 +158,8 @@ def nip(rng: Generator) -> Scene:
         }  # fmt: skip
         return MovableRoller(center=center, direction=direction, **given | other)
 
-    speeds = Profile(times=[0.0, 0.02], values=[_vary(rng, 200.0) * -1.0, _vary(rng, 500.0) * -1.0])
+    # From just after the start: a corner at the first frame has another slope on either side.
+    speeds = Profile(times=[7e-5, 0.02], values=[_vary(rng, 200.0) * -1.0, _vary(rng, 500.0) * -1.0])
     rollers = {
         "drive": FixedRoller(center=drive, radius=10.0, surface_speed=speeds, friction=_vary(rng, 0.8)),
         "pinch": sprung(
