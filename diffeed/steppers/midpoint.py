@@ -36,7 +36,8 @@ PASSES = 5
 `linear_euler`. With 5 the way back of a whirling sheet is found to 1e-9 mm, with 4 to 5e-7."""
 UNNOTICED, PLAIN = 0.05, 0.2
 """Of what speeds change by in half a step: by how much the last pass may change them before the step is taken as one of
-`linear_euler`, and from where on wholly so. Resolved steps stay below 0.02; in between is a mixture, so that a run has no jump."""
+`linear_euler`, and from where on wholly so. Resolved steps stay below 0.02; in between is a mixture, so that a run has
+no jump."""
 
 
 def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
