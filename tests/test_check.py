@@ -132,6 +132,7 @@ BAD: list[tuple[str, Any, str]] = [
     ("sheets.film.bars", True, "sheets.film.bars must be a whole number, but is true"),
     ("sheets.film.bars", None, "sheets.film.bars is missing: it must be a whole number"),
     ("sheets.film.bars", 500, "thickness must be <= the length of a bar (0.4 mm: length / bars), but is 0.5"),
+    ("sheets.film.length", 0.2, "length / bars), but is 0.5; is sheets.film.length, 0.2 mm, in m?"),
     ("sheets.film.headings", [0.0] * 19, "sheets.film.headings must be 20 numbers in deg, one for each bar"),
     ("sheets.film.rates", 0.0, "sheets.film.rates must be 20 numbers in rad/s, one for each bar, but is 0.0"),
     ("clamps.hold.sheet", "fim", 'clamps.hold.sheet must be the name of a sheet, but is "fim"; did you mean "film"?'),

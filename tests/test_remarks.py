@@ -117,6 +117,17 @@ def test_movements_in_other_units(times, turn, said):
     assert [f.startswith(said) for f in found] == [True] if said else found == []
 
 
+@pytest.mark.parametrize(
+    ("at", "pivot", "told"), [(100.0, (0.0, 0.0), True), (100.0, (80.0, -5.0), False), (10.0, (0.0, 0.0), False)]
+)
+def test_a_part_that_swings_about_an_origin_far_away(at, pivot, told):
+    swing = Motion(times=(0.0, 0.02), displacement=np.zeros((2, 2)), rotation=(0.0, 14.0), pivot=pivot)
+    flap = LineGuide(start=(at, -5.0), end=(at + 20.0, -5.0), motion=swing)
+    found = diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, guides={"flap": flap}, duration=0.02))
+    said = "guides.flap.motion.pivot is (0, 0), 100 mm from the part: was it forgotten?"
+    assert [f.startswith(said) for f in found] == [True] * told
+
+
 def test_the_faces_of_a_blade_that_is_thinner_than_they_feel():
     """A millimetre apart each catches, up to 3 mm behind it, what lies on the other."""
 

@@ -30,6 +30,8 @@ from diffeed.input.parts import (
 )
 
 Rule = Callable[[str, Any, Scene], Iterator[str]]
+SHORT = 2.0
+"""mm: a sheet that is shorter than this may be given in metres."""
 
 
 def names(scene: Scene, section: str) -> list[str]:
@@ -103,7 +105,10 @@ def _bar_length(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
         return
     bar = float(length) / bars
     wanted = f"<= the length of a bar ({bar:.6g} mm: length / bars)"
-    yield f"{path}.thickness must be {wanted}, but is {show(sheet.thickness)}"
+    yield (
+        f"{path}.thickness must be {wanted}, but is {show(sheet.thickness)}"
+        + f"; is {path}.length, {length:g} mm, in m?" * bool(length < SHORT)
+    )
 
 
 def _two_speeds(path: str, roller: Any, _: Scene) -> Iterator[str]:

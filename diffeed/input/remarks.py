@@ -38,6 +38,8 @@ NIP = 3.0
 """mm between two rollers that may be meant as a nip."""
 TURNED = 1.6
 """Degrees: a movement that turns a part by less may be meant in radians."""
+ASIDE = 2.0
+"""Times its own size: a part that swings about an origin further away than that may lack its pivot."""
 STUB = 3.0
 """mm of an arc: hardly a guide."""
 CURLED = 3.0
@@ -137,6 +139,24 @@ def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
     furthest = 0.0 if turn is None else float(np.max(np.abs(turn)))
     if 0.0 < furthest < TURNED:
         yield f"{path}.motion.rotation is {furthest:g} degrees at most: in radians? A quarter turn is 90"
+    pivot, (away, size) = sound(part.motion, "pivot"), _from_origin(part)
+    if furthest > 0.0 and pivot is not None and not np.any(pivot) and away > ASIDE * size > 0.0:
+        yield f"{path}.motion.pivot is (0, 0), {away:.3g} mm from the part: was it forgotten? The part swings about it"
+
+
+def _from_origin(part: Any) -> tuple[float, float]:
+    """How far the nearest point of a part is, and how large the part is, mm; (0, 0) where that is not known."""
+    if isinstance(part, LineGuide):
+        start, end = sound(part, "start"), sound(part, "end")
+        if start is None or end is None or not np.any(end - start):
+            return 0.0, 0.0
+        way = end - start
+        share = np.clip(-(start @ way) / (way @ way), 0.0, 1.0)
+        return float(np.hypot(*(start + share * way))), float(np.hypot(*way))
+    center, radius = sound(part, "center"), _number(part, "radius")
+    if center is None or radius is None:
+        return 0.0, 0.0
+    return float(np.hypot(*center)) - radius, 2.0 * radius
 
 
 def _fastest(roller: Any) -> float | None:
