@@ -184,6 +184,12 @@ def _contact(path: str, contact: Contact, _: Scene) -> Iterator[str]:
     stiffness = _number(contact, "stiffness")
     if stiffness and stiffness > STUBBORN:
         yield f"{path}.stiffness is {stiffness:g}: in N/m? Rubber has 10 to 1000 N/mm, hard plastic 1e4"
+    if not contact.damped or _number(contact, "damping") == 0.0:
+        lacks = f"{path}.damping is 0" if contact.damped else f"{path}.damped is false"
+        yield (
+            f"{lacks}: what hits it is thrown back with all its speed, which steps longer than the hit take away unseen; real"
+            " surfaces are damped"
+        )
 
 
 def _mass(path: str, roller: MovableRoller, _: Scene) -> Iterator[str]:
