@@ -142,6 +142,6 @@ def test_a_run_that_is_wrong_does_not_hold(machine, method, seed):
     """Found by the search: off by more than 5 mm, a tenth of the way and three times what they tell of themselves."""
     made = diffeed.stack([valid.scene_of(machine, seed)])
     one = valid.sample(valid.run_batch(made, dt=valid.STEPS[method], method=method), 0)
-    true = valid.sample(valid.run_batch(made, tolerance=min(valid.TOLERANCES), most_steps=valid.MOST), 0)
+    true = valid.sample(valid.run_batch(made, **valid.DECIDING), 0)
     assert bool(true.ok)
     assert not (one.ok and valid.is_wrong(one, true))
