@@ -12,7 +12,7 @@ import diffeed
 from diffeed.base.records import replace
 from tests.search import fuzz, invalid, kill, mutations, oracle, seeds, valid
 
-LOST_REBOUNDS = (("nip", "linear_euler", 20), ("floor", "midpoint", 7))
+LOST_REBOUNDS = (("gate", "linear_euler", 3), ("gate", "extrapolated_euler", 17), ("floor", "midpoint", 7))
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
@@ -136,7 +136,7 @@ def test_the_oracle_of_valid_scenes_sees_what_is_wrong():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a rebound without damping that begins and ends within a step is lost unseen")
+@pytest.mark.xfail(strict=True, reason="a rebound that begins and ends within a step is lost unseen")
 @pytest.mark.parametrize(("machine", "method", "seed"), LOST_REBOUNDS)
 def test_a_run_that_is_wrong_does_not_hold(machine, method, seed):
     """Found by the search: off by more than 5 mm, a tenth of the way and three times what they tell of themselves."""
