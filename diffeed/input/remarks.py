@@ -91,9 +91,13 @@ def _of_scene(scene: Scene) -> Iterator[str]:
 
 
 def _places(scene: Scene) -> list[Any]:
-    parts = [*scene.rollers.values(), *scene.guides.values()]
-    fields = [(p, f) for p in parts for f in ("center", "start", "end") if getattr(p, f, None) is not None]
-    return [value for p, f in fields if (value := sound(p, f)) is not None]
+    return [place for part in (*scene.rollers.values(), *scene.guides.values()) for place in _points(part)]
+
+
+def _points(part: Any) -> list[Any]:
+    """The centre of a part, or its two ends."""
+    fields = [f for f in ("center", "start", "end") if getattr(part, f, None) is not None]
+    return [value for f in fields if (value := sound(part, f)) is not None]
 
 
 def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
@@ -139,24 +143,14 @@ def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
     furthest = 0.0 if turn is None else float(np.max(np.abs(turn)))
     if 0.0 < furthest < TURNED:
         yield f"{path}.motion.rotation is {furthest:g} degrees at most: in radians? A quarter turn is 90"
-    pivot, (away, size) = sound(part.motion, "pivot"), _from_origin(part)
-    if furthest > 0.0 and pivot is not None and not np.any(pivot) and away > ASIDE * size > 0.0:
+    pivot, points = sound(part.motion, "pivot"), _points(part)
+    if not furthest or pivot is None or np.any(pivot) or not points:
+        return
+    radius = _number(part, "radius") or 0.0 if hasattr(part, "radius") else 0.0
+    away = min(float(np.hypot(*point)) for point in points) - radius
+    size = float(np.hypot(*np.ptp(points, axis=0))) + 2.0 * radius
+    if away > ASIDE * size:
         yield f"{path}.motion.pivot is (0, 0), {away:.3g} mm from the part: was it forgotten? The part swings about it"
-
-
-def _from_origin(part: Any) -> tuple[float, float]:
-    """How far the nearest point of a part is, and how large the part is, mm; (0, 0) where that is not known."""
-    if isinstance(part, LineGuide):
-        start, end = sound(part, "start"), sound(part, "end")
-        if start is None or end is None or not np.any(end - start):
-            return 0.0, 0.0
-        way = end - start
-        share = np.clip(-(start @ way) / (way @ way), 0.0, 1.0)
-        return float(np.hypot(*(start + share * way))), float(np.hypot(*way))
-    center, radius = sound(part, "center"), _number(part, "radius")
-    if center is None or radius is None:
-        return 0.0, 0.0
-    return float(np.hypot(*center)) - radius, 2.0 * radius
 
 
 def _fastest(roller: Any) -> float | None:
