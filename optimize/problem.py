@@ -13,6 +13,7 @@ from jax import Array
 
 import diffeed
 from diffeed.base.names import nearest
+from diffeed.base.products import ALL_DIGITS
 from diffeed.input.stacking import misfit
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
@@ -187,7 +188,7 @@ def _over_samples(problem: Problem, every: Seen) -> Seen:
         count = values.shape[1]
         left = np.clip(robust.tail * count - np.arange(count), 0.0, 1.0) / (robust.tail * count)
         worst = -jnp.sort(-values, axis=1)
-        return jnp.einsum("ms...,s->m...", worst, jnp.asarray(left, values.dtype))
+        return jnp.einsum("ms...,s->m...", worst, jnp.asarray(left, values.dtype), precision=ALL_DIGITS)
 
     return Seen(
         goals=jnp.mean(every.goals, axis=1),

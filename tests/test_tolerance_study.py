@@ -17,7 +17,7 @@ from stand_in_nip import nip
 from test_optimize_cli import ROOT
 
 import diffeed
-from diffeed import measures
+from diffeed import measures, tuning
 from diffeed.readings.verdict import Verdict
 from optimize.asked import StudyError
 from optimize.terms import TERMS, Term
@@ -30,6 +30,7 @@ from optimize.tolerance.problem import load_tolerance, make_tolerance, rest_of, 
 from optimize.tolerance.replay import judged, replay, sample_scene
 from optimize.tolerance.report import print_summary, write_result
 from optimize.tolerance.run import Rows, chosen, run_of
+from optimize.tolerance.spread import chunk_size
 from optimize.tolerance.study import drawn, here, run_rows, run_study
 from optimize.tolerance.summary import summarise, tighten
 
@@ -660,3 +661,18 @@ def test_what_never_arrives_is_no_time():
     assert judged(late, scene, run_of(late, scene, rest_of(late))).endswith(
         "breaks its limits: arrival above 0.005 (never)"
     )
+
+
+@pytest.mark.parametrize(
+    ("memory", "rows", "at_once"),
+    [(80e9, 1, 16), (80e9, 1000, 1024), (80e9, 10**6, 16384), (1e8, 1000, 128), (1e3, 1000, 16), (None, 1000, 1024)],
+)
+def test_an_accelerator_computes_at_once_what_fits_its_memory_and_no_more_than_there_are(
+    monkeypatch, memory, rows, at_once
+):
+    """At 0.1 MB a sample; a quarter of the memory is for them. Where the memory is not told, 8 GB are taken for granted."""
+    card = SimpleNamespace(platform="gpu", memory_stats=lambda: memory and {"bytes_limit": memory})
+    monkeypatch.setattr(tuning, "safe_devices", lambda devices: [card])
+    assert chunk_size(lambda: 10**5, rows) == at_once
+    monkeypatch.setattr(tuning, "safe_devices", lambda devices: [card, card])
+    assert chunk_size(lambda: 10**5, 2 * rows) == 2 * at_once

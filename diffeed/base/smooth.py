@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
+from diffeed.base.products import product
 
 
 def ramp(x: Array, width: Array) -> tuple[Array, Array]:
@@ -123,7 +124,7 @@ def _factored(matrix: Array, sides: Array) -> tuple[Array, Array]:
 def _solve_positive_jvp(given: tuple[Array, Array], moved: tuple[Array, Array]) -> tuple[Array, Array]:
     root, x = _factored(*given)
     change, more = moved
-    right = more - (jnp.tril(change) + jnp.tril(change, -1).T) @ x
+    right = more - product(jnp.tril(change) + jnp.tril(change, -1).T, x)
     half = lax.linalg.triangular_solve(root, right, left_side=True, lower=True)
     return x, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
 

@@ -14,6 +14,8 @@ from diffeed.run.examine import prepare
 from diffeed.run.rollout import simulate
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096)
+ON_ACCELERATORS = (16384, 65536)
+"""Beyond those: what it takes to keep an accelerator busy."""
 QUICK_SIZES = (1, 4, 16, 64)
 STEPS, IN_ALL = 200, 2000
 """Steps of every run, and at least of all together: so many that starting them (0.7 ms for twenty parts) hardly counts."""
@@ -21,6 +23,11 @@ SPREAD = 0.01
 """Share by which the samples' moduli differ: they are not one sample many times."""
 
 Show = Callable[[int, int, str], None]
+
+
+def sizes_for(platform: str) -> tuple[int, ...]:
+    """Sizes that tell something on a device of this kind."""
+    return SIZES if platform == "cpu" else SIZES + ON_ACCELERATORS
 
 
 def batch(

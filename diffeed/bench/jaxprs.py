@@ -13,14 +13,19 @@ def count_equations(function: Callable[..., Any], *arguments: Any) -> int:
 
 def operations(function: Callable[..., Any], *arguments: Any) -> Iterator[str]:
     """Names of those equations' operations, one by one."""
-    yield from _operations(jax.make_jaxpr(function)(*arguments).jaxpr)
+    return (equation.primitive.name for equation in equations(function, *arguments))
 
 
-def _operations(jaxpr: Any) -> Iterator[str]:
-    for eqn in jaxpr.eqns:
-        yield eqn.primitive.name
-        for inner in _inner(eqn.params.values()):
-            yield from _operations(inner)
+def equations(function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
+    """Those equations themselves."""
+    return _equations(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _equations(jaxpr: Any) -> Iterator[Any]:
+    for equation in jaxpr.eqns:
+        yield equation
+        for inner in _inner(equation.params.values()):
+            yield from _equations(inner)
 
 
 def _inner(values: Any) -> Iterator[Any]:

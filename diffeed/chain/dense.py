@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.products import product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain.sums import apply, before, membership
 from diffeed.chain.system import Answer, Border, System
@@ -29,7 +30,7 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     halves, totals = _totals(layout, jnp.concatenate([jnp.stack([b.xx, b.xy, b.yy]), given[:, 0], given[:, 1]]))
     (half_x, half_y), (total_x, total_y) = (jnp.split(v[3:], 2) for v in (halves, totals))
     gathered = jnp.concatenate([total_x, total_y, given[:, 2] + lx[None] * half_x + ly[None] * half_y], axis=1)
-    bias = columns[:, 0] @ bias_x + columns[:, 1] @ bias_y
+    bias = product(columns[:, 0], bias_x) + product(columns[:, 1], bias_y)
     right = (gathered[:k], border.at[0].add(-bias))
 
     def lower(below: Array) -> Array:
@@ -68,8 +69,8 @@ def _by_rollers(chain: Array, coupling: Array, beside: Border, right: tuple[Arra
 
     answer = freed(coupling)
     on_chain, on_rollers = right
-    x = solve_positive(chain - coupling.T @ answer, (on_chain - on_rollers @ answer).T).T
-    return jnp.concatenate([x, freed((on_rollers - x @ coupling.T).T).T], axis=1)
+    x = solve_positive(chain - product(coupling.T, answer), (on_chain - product(on_rollers, answer)).T).T
+    return jnp.concatenate([x, freed((on_rollers - product(x, coupling.T)).T).T], axis=1)
 
 
 def _pull(system: System, x: Array, y: Array) -> Array:
@@ -105,11 +106,11 @@ def _lower(
     moved = jnp.stack([jnp.concatenate([one, zero, lx]), jnp.concatenate([zero, one, ly])])
     asked = jnp.stack([jnp.concatenate([txx, txy, vx]), jnp.concatenate([txy, tyy, vy])])
     beyond = ((0, 0), (0, more))
-    product = jnp.pad(moved, beyond).T @ jnp.pad(asked, beyond)
+    crossed = product(jnp.pad(moved, beyond).T, jnp.pad(asked, beyond))
     # The bar itself: a quarter of its own block instead of the half that is behind.
     own = b.ww + lx * (vx - 0.25 * (b.xx * lx + b.xy * ly)) + ly * (vy - 0.25 * (b.xy * lx + b.yy * ly))
     behind, diagonal, joint = _tables(layout, more)
-    upper = jnp.asarray(behind.T, lx.dtype) * product
+    upper = jnp.asarray(behind.T, lx.dtype) * crossed
     upper = upper + jnp.diag(apply(jnp.concatenate([own, system.coupling]), diagonal))
     upper = upper - jnp.asarray(joint.T, lx.dtype) * jnp.pad(system.coupling, (2 * n_sheets, more))[:, None]
     return (upper + jnp.pad(below.T, ((0, 0), (upper.shape[0] - more, 0)))).T

@@ -8,6 +8,7 @@ spring couples two turnings; written as e h/(h + e) it loses no digits, so that 
 import jax.numpy as jnp
 from jax import Array, lax
 
+from diffeed.base.products import product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain.system import Answer, System
 from diffeed.model.layout import Layout
@@ -22,9 +23,9 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
         return Answer(*_chain(system, layout, sides), border)
     k, columns = sides.shape[0], system.border.columns
     found = _chain(system, layout, jnp.concatenate([sides, columns]))
-    moved = jnp.stack(found, axis=1).reshape(k + columns.shape[0], -1) @ columns.reshape(columns.shape[0], -1).T
+    moved = product(jnp.stack(found, axis=1).reshape(k + columns.shape[0], -1), columns.reshape(columns.shape[0], -1).T)
     z = solve_positive(system.border.matrix() - moved[k:], (border - moved[:k]).T).T
-    return Answer._make([*(v[:k] - z @ v[k:] for v in found), z])
+    return Answer._make([*(v[:k] - product(z, v[k:]) for v in found), z])
 
 
 def _chain(system: System, layout: Layout, sides: Array) -> tuple[Array, Array, Array]:

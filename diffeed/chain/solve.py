@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.products import ALL_DIGITS, product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain import dense, elimination
 from diffeed.chain.system import Solution, System
@@ -24,9 +25,9 @@ def solve(system: System, layout: Layout) -> Solution:
     n = clamps.rhs.shape[0]
     found = respond(system, layout, jnp.concatenate([force, clamps.columns]), jnp.pad(rhs, ((0, n), (0, 0))))
     # Each clamp pulls until its own row holds: (C A^-1 C') r = C A^-1 f - c.
-    moved = jnp.stack(found[:3], axis=1).reshape(n + 1, -1) @ clamps.columns.reshape(n, -1).T
+    moved = product(jnp.stack(found[:3], axis=1).reshape(n + 1, -1), clamps.columns.reshape(n, -1).T)
     reaction = solve_positive(moved[1:], (moved[0] - clamps.rhs)[:, None])[:, 0]
-    return Solution._make([*(v[0] - reaction @ v[1:] for v in found), reaction])
+    return Solution._make([*(v[0] - product(reaction, v[1:]) for v in found), reaction])
 
 
 def net_joint_force(system: System, solution: Solution) -> tuple[Array, Array]:
@@ -36,6 +37,6 @@ def net_joint_force(system: System, solution: Solution) -> tuple[Array, Array]:
     y = b.xy * u.x + b.yy * u.y + b.yw * u.w - b.fy
     for beside, pull in ((system.border, u.border), (system.clamps, u.reaction)):
         if beside is not None:
-            more = jnp.tensordot(pull, beside.columns[:, :2], axes=1)
+            more = jnp.tensordot(pull, beside.columns[:, :2], axes=1, precision=ALL_DIGITS)
             x, y = x + more[0], y + more[1]
     return x, y

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.model.layout import Layout
 
 SHORT = 100
@@ -28,7 +29,7 @@ def before(layout: Layout) -> np.ndarray:
 
 def apply(values: Array, table: np.ndarray) -> Array:
     """(..., bars) times a constant (bars, k)."""
-    return values @ jnp.asarray(table, values.dtype)
+    return product(values, jnp.asarray(table, values.dtype))
 
 
 def up_to_centre(layout: Layout, values: Array) -> Array:

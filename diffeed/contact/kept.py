@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
 from diffeed.model.arrays import Arcs, Lines, Model
 from diffeed.pair.law import Surface
@@ -183,7 +184,7 @@ def by_contact(model: Model, kept: Kept, values: Array) -> Array:
     layout = model.layout
     if kept.pairs is None:
         own = jnp.asarray(layout.sheet_of_feature, values.dtype)
-        return (values @ own) @ own.T
+        return product(product(values, own), own.T)
     counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
     firsts, indices = np.cumsum([0, *counts], dtype=np.int32), (kept.circle_index, kept.line_index, kept.arc_index)
     body = jnp.concatenate([first + i for first, i in zip(firsts[:-1], indices, strict=True) if i is not None])

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.records import replace
 from diffeed.base.smooth import divide
 from diffeed.chain.state import State, initial_grip
@@ -68,7 +69,7 @@ def _gather(model: Model, kept: Kept, values: tuple[Array, ...]) -> Array:
     n, found = kept.n_circles, []
     if model.sticks[0]:
         own = jnp.asarray(model.layout.sheet_of_feature, whole.dtype)
-        sums = by_circle(model, kept, whole[:, None, :n], np.arange(len(model.circle_names))) @ own
+        sums = product(by_circle(model, kept, whole[:, None, :n], np.arange(len(model.circle_names))), own)
         found.append(sums.reshape(len(values), -1))
     if model.sticks[1]:
         found.append(by_feature(model, whole[:, n:], part(kept.pairs, kept.pairs, slice(n, None))))

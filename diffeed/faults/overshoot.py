@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.chain.state import State, spread, total_per_sheet
 from diffeed.chain.system import Solution
 from diffeed.contact import gained, stick
@@ -73,9 +74,9 @@ def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Arra
     force = by_feature(model, jnp.stack([pairs.ny * friction, -pairs.nx * friction]), kept.pairs)
     free = np.arange(rollers.n)[rollers.free]
     if not len(free):
-        return force @ own / mass[None], jnp.zeros((1, 0), friction.dtype)
+        return product(force, own) / mass[None], jnp.zeros((1, 0), friction.dtype)
     on_rollers = by_roller(model, kept, friction[None])[:, free]
-    return force @ own / mass[None], on_rollers * (rollers.radius[rollers.free] ** 2 / rollers.inertia)[None]
+    return product(force, own) / mass[None], on_rollers * (rollers.radius[rollers.free] ** 2 / rollers.inertia)[None]
 
 
 def _spread(model: Model, pull: tuple[Array, Array]) -> Solution:

@@ -9,6 +9,7 @@ Where contacts are resolved both forces are alike, and nothing is solved again.
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.smooth import divide, polar
 from diffeed.chain.state import State, total_per_sheet
 from diffeed.chain.system import Solution
@@ -51,7 +52,7 @@ def _by_sheet(model: Model, kept: Kept, values: Array) -> Array:
     """(k, bodies, features) or (k, pairs) -> (k, sheets)."""
     if len(model.layout.names) == 1:
         return jnp.sum(values.reshape(len(values), -1), axis=1, keepdims=True)
-    return by_feature(model, values, kept.pairs) @ jnp.asarray(model.layout.sheet_of_feature, values.dtype)
+    return product(by_feature(model, values, kept.pairs), jnp.asarray(model.layout.sheet_of_feature, values.dtype))
 
 
 def let_through(model: Model, normal: Array, kept: Kept) -> Array:

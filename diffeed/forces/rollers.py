@@ -6,6 +6,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
+from diffeed.base.products import product
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
 from diffeed.contact.bodies import arm_spins
@@ -157,7 +158,7 @@ def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]
         gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
     rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
     if not step.implicit:
-        return jnp.zeros((m + f, m + f)), rows.T @ jnp.concatenate([f_n, f_t])
+        return jnp.zeros((m + f, m + f)), product(rows.T, jnp.concatenate([f_n, f_t]))
     weighed = jnp.concatenate([a_n, a_t])[:, None] * rows
-    found = rows.T @ jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1)
+    found = product(rows.T, jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1))
     return found[:, :-1], found[:, -1]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.smooth import polar, ramp, soft_max
 from diffeed.input.packing import jit_of_scene, stacked
 from diffeed.input.parts import Scene, normalise
@@ -73,8 +74,8 @@ def _progress(scene: Scene, trajectory: Trajectory, name: str) -> Array:
         return forward / jnp.maximum(jnp.abs(feed.commanded), 1e-6) / ENOUGH - 1.0
     goal, (lead, tail) = scene.sensors[scene.goal], trajectory.sheets[name].nodes[0, (0, -1), :]
     way = goal.direction / jnp.sqrt(jnp.sum(goal.direction**2))
-    ahead, left = (lead - goal.position) @ way, (goal.position - tail) @ way
-    beside = jnp.abs((lead - goal.position) @ jnp.stack([-way[1], way[0]]))
+    ahead, left = product(lead - goal.position, way), product(goal.position - tail, way)
+    beside = jnp.abs(product(lead - goal.position, jnp.stack([-way[1], way[0]])))
     through = (ahead >= 0.0) & (left > 0.0) & (beside < goal.range)  # it lies in the gate at the start
     from_lead = scene.sheets[name].length + polar(*(goal.position - lead))[0]
     tail_first = feed.commanded < 0.0

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.records import number, record, replace
 from diffeed.base.smooth import divide
 from diffeed.chain.kinematics import Pose, nodes, pose
@@ -351,7 +352,7 @@ def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array
     # One product instead of slices: each slice would compute the contact law again.
     own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
     of_near = part(kept.pairs, kept.pairs, slice(kept.n_circles))
-    pull, force = by_feature(model, jnp.stack([pull, force]), of_near) @ own
+    pull, force = product(by_feature(model, jnp.stack([pull, force]), of_near), own)
     return divide(pull, force), force
 
 
@@ -363,7 +364,7 @@ def surface_speeds(model: Model, touching: Contacts) -> Array:
         return jnp.zeros((len(model.layout.names), n))
     force, pull = (v[:n] for v in _driven(model, touching, keep_all(model)))
     own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
-    return divide(pull @ own, force @ own).T
+    return divide(product(pull, own), product(force, own)).T
 
 
 def _feed_start(model: Model, scene: Scene, state: State) -> Feed:

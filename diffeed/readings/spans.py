@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.records import number, record, replace
 from diffeed.base.smooth import divide
 from diffeed.chain.state import State
@@ -77,7 +78,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, presse
     middle = 0.0 if model.skin == "smooth" else 0.5  # a feature is centred on its node or on its bar
     place = jnp.asarray(np.arange(count + 1) + middle, bar.dtype) * bar
     total = jnp.sum(force, axis=1)
-    at = divide(force @ place, total)  # mm behind the lead where each nip holds
+    at = divide(product(force, place), total)  # mm behind the lead where each nip holds
     holds = (total > 0).astype(at.dtype)
     i, j = np.triu_indices(len(pressed), 1)
     low, high = jnp.minimum(at[i], at[j]), jnp.maximum(at[i], at[j])
@@ -87,7 +88,7 @@ def _spans(model: Model, scene: Scene, k: int, name: str, tension: Array, presse
     neighbours = jnp.where(apart, holds[i] * holds[j], 0.0)
     centres = jnp.asarray(np.arange(count) + 0.5, bar.dtype) * bar
     inside = ((centres[None] > low[:, None]) & (centres[None] < high[:, None])).astype(at.dtype)
-    mean = divide(inside @ tension[bars], jnp.sum(inside, axis=1))
+    mean = divide(product(inside, tension[bars]), jnp.sum(inside, axis=1))
     stiffness = sheet.youngs_modulus * sheet.thickness**3 * sheet.width / 12.0  # N mm2
     euler = np.pi**2 * stiffness / jnp.maximum(high - low, bar) ** 2
     return neighbours, mean, divide(-mean, euler)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.input.packing import jit_of_scene, stacked
 from diffeed.input.parts import LineGuide, Scene, normalise
 from diffeed.model.build import build
@@ -200,7 +201,7 @@ def _crosses(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> A
     sensor = scene.sensors[scene.goal]
     way = sense * sensor.direction / jnp.sqrt(jnp.sum(sensor.direction**2))
     offset = trajectory.sheets[name].nodes[:, -1] - sensor.position[None]
-    along, across = offset @ way, jnp.abs(offset[:, 1] * way[0] - offset[:, 0] * way[1])
+    along, across = product(offset, way), jnp.abs(offset[:, 1] * way[0] - offset[:, 0] * way[1])
     return (along[:-1] < 0) & (along[1:] >= 0) & (across[1:] < sensor.range)
 
 

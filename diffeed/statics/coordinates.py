@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.products import product
 from diffeed.base.records import replace
 from diffeed.chain.kinematics import pose
 from diffeed.chain.state import State, total_per_sheet
@@ -108,7 +109,7 @@ def mass_matrix(model: Model, state: State) -> Array:
     moved = jax.jacfwd(lambda q: centres(model, state, q))(q)
     bars = model.bars
     weights = (bars.mass, bars.mass, bars.inertia)
-    sheets = sum(j.T @ (w[:, None] * j) for j, w in zip(moved, weights, strict=True))
+    sheets = sum(product(j.T, w[:, None] * j) for j, w in zip(moved, weights, strict=True))
     n = q.shape[0] - model.rollers.n_movable - model.rollers.n_free
     extra = jnp.concatenate([jnp.zeros((n,)), model.rollers.mass, model.rollers.inertia])
     return sheets + jnp.diag(extra)

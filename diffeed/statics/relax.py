@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from diffeed.base.products import product
+
 ITERATIONS = 500
 WARY, BOLD, BOLDER = 0.5, 4.0, 1.05
 """How far what a step of the search leaves may be off what was foreseen, as a share of what there was: at first and after a
@@ -95,7 +97,7 @@ def _noise(slope: Array, at: Rest, inertia: Array) -> Array:
     """Size of the round-off of stiff springs on light bars, which must neither hold steps back nor refuse any. (A few roundings
     each: 8. What lies at 0 is rounded as well, as radii and centres are that place it: 1 mm.)"""
     eps = jnp.finfo(slope.dtype).eps
-    return 8.0 * eps * _size(as_rest(jnp.abs(slope) @ (1.0 + jnp.abs(jnp.concatenate(at))), at), inertia)
+    return 8.0 * eps * _size(as_rest(product(jnp.abs(slope), 1.0 + jnp.abs(jnp.concatenate(at))), at), inertia)
 
 
 def _next_span(at: _Search, surprise: Array, good: Array, whole: Array, left: Array) -> Array:

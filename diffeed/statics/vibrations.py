@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.products import product
 from diffeed.base.records import record, replace, word
 from diffeed.base.smooth import divide
 from diffeed.chain.state import State
@@ -95,7 +96,7 @@ def _linearise(scene: Scene, state: State) -> Linearisation:
     basis = _null_space(rows)
 
     def reduced(matrix: Array) -> Array:
-        small = basis.T @ matrix @ basis
+        small = product(product(basis.T, matrix), basis)
         return 0.5 * (small + small.T)
 
     return Linearisation(
@@ -134,6 +135,6 @@ def _null_space(rows: Array) -> Array:
     if rows.shape[0] == 0:
         return jnp.eye(rows.shape[1])
     q, _ = jnp.linalg.qr(lax.stop_gradient(rows.T), mode="complete")
-    free, gram = q[:, rows.shape[0] :], rows @ rows.T
+    free, gram = q[:, rows.shape[0] :], product(rows, rows.T)
     small = 1e-10 * jnp.trace(gram) * jnp.eye(rows.shape[0])  # clamps may hold the same thing twice
-    return free - rows.T @ jnp.linalg.solve(gram + lax.stop_gradient(small), rows @ free)
+    return free - product(rows.T, jnp.linalg.solve(gram + lax.stop_gradient(small), product(rows, free)))

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.base.batching import any_of_batch
+from diffeed.base.products import ALL_DIGITS
 from diffeed.base.records import replace
 from diffeed.base.smooth import divide, polar
 from diffeed.chain import solve as chain_solve
@@ -105,7 +106,7 @@ def _for_correction(model: Model, system: System, at: Pose, missing: dict[str, A
     if clamps is not None:
         # What closes a clamp's error, rate^2 error - 2 rate speed, changes with the correction as stiff springs do.
         rates = jnp.stack([closing_rate(model, hold.bar) for hold in model.holds for _ in hold.rows])
-        lacking = jnp.tensordot(clamps.columns, jnp.stack([x, y, missing["rate"]]), axes=2)
+        lacking = jnp.tensordot(clamps.columns, jnp.stack([x, y, missing["rate"]]), axes=2, precision=ALL_DIGITS)
         clamps = clamps._replace(rhs=lacking / (1.0 + half * rates) ** 2)
     return system._replace(
         bars=system.bars._replace(fx=bars.mass * x, fy=bars.mass * y, fw=bars.inertia * missing["rate"]),

@@ -38,7 +38,7 @@ def latitude(problem: ToleranceProblem, scene: diffeed.Scene | None = None) -> M
     scene = problem.scene if scene is None else scene
     x, y = (np.linspace(*axis.range, axis.points) for axis in (asked.x, asked.y))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    chunk = min(len(grid), chunk_size(lambda: bytes_of(problem)))
+    chunk = min(len(grid), chunk_size(lambda: bytes_of(problem), len(grid)))
     mark = ("latitude", problem.key, asked.model_dump_json(), chunk)
     margin, passed = kept(mark, lambda: Spread(_outcome_at(problem, asked), chunk)).all_of(
         grid, (scene, rest_of(problem))

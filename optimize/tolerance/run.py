@@ -13,7 +13,7 @@ from diffeed import measures
 from optimize.asked import Asked, values_of, violations
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
-from optimize.tolerance.spread import Spread, chunk_size
+from optimize.tolerance.spread import Spread
 
 
 class Rows(NamedTuple):
@@ -67,11 +67,11 @@ def broken_limits(limits: tuple[Asked, ...], values: Array) -> Array:
 
 
 class Evaluator:
-    """Compiles once and runs chunks of samples."""
+    """Compiles once and runs chunks of so many samples."""
 
-    def __init__(self, problem: ToleranceProblem, chunk: int | None = None) -> None:
+    def __init__(self, problem: ToleranceProblem, chunk: int) -> None:
         self._rest = rest_of(problem)
-        self._spread = Spread(lambda d, rest: one(problem, rest, d), chunk or chunk_size(lambda: bytes_of(problem)))
+        self._spread = Spread(lambda d, rest: one(problem, rest, d), chunk)
 
     @property
     def chunk(self) -> int:

@@ -16,15 +16,20 @@ TOGETHER = 8
 second on two cores; more fall out of the cache."""
 SHARE = 0.25
 """Share of an accelerator's memory that a chunk may take."""
+FEWEST, BUSY = 16, 16384
+"""Samples that an accelerator computes at once: fewer take it as long, more keep it no busier (`diffeed bench batch`)."""
 
 
-def chunk_size(each: Callable[[], int]) -> int:
-    """Rows computed at once: for each core what fits its cache, for an accelerator what fits its memory, at `each()` bytes."""
+def chunk_size(each: Callable[[], int], rows: int) -> int:
+    """How many of `rows` are computed at once: for each core what fits its cache, for an accelerator a power of two that fits
+    its memory, at `each()` bytes, and is not half empty."""
     devices = tuning.safe_devices(jax.local_devices())
     if devices[0].platform == "cpu":
         return TOGETHER * len(devices)
-    limit = (devices[0].memory_stats() or {}).get("bytes_limit", 8e9)
-    return len(devices) * int(2 ** np.clip(np.floor(np.log2(SHARE * limit / each())), 4, 16))
+    room = SHARE * (devices[0].memory_stats() or {}).get("bytes_limit", 8e9) / each()
+    most = np.clip(np.floor(np.log2(room)), np.log2(FEWEST), np.log2(BUSY))
+    wanted = np.ceil(np.log2(max(FEWEST, rows / len(devices))))
+    return len(devices) * int(2 ** min(most, wanted))
 
 
 class Spread:

@@ -9,7 +9,8 @@ from optimize.programs import kept
 from optimize.tolerance.draws import deviations, uniforms
 from optimize.tolerance.folder import Folder
 from optimize.tolerance.problem import ToleranceProblem
-from optimize.tolerance.run import Evaluator, Rows, chosen, chunks, joined
+from optimize.tolerance.run import Evaluator, Rows, bytes_of, chosen, chunks, joined
+from optimize.tolerance.spread import chunk_size
 
 Show = Callable[[int, int, int], None]
 """Told after every chunk: samples done in all, how many of these did not pass, samples run just now."""
@@ -21,7 +22,8 @@ def here(problem: ToleranceProblem, chunk: int | None = None) -> Runner:
     """Run samples in this process."""
 
     def run(sample: np.ndarray, deviation: np.ndarray) -> Iterator[Rows]:
-        evaluate = kept(("samples", problem.key, chunk), lambda: Evaluator(problem, chunk))
+        size = chunk or chunk_size(lambda: bytes_of(problem), len(sample))
+        evaluate = kept(("samples", problem.key, size), lambda: Evaluator(problem, size))
         for picked in chunks(np.arange(len(sample)), evaluate.chunk):
             yield evaluate(sample[picked], deviation[picked])
 
