@@ -98,9 +98,11 @@ def test_a_known_share_breaks_its_limit():
 
 @pytest.mark.slow
 def test_a_known_share_jams():
-    """A wall behind the nip: where the opening in it is out of the sheet's way, the sheet stands still."""
+    """A wall at the end of a channel: where the opening in it is out of the sheet's way, the sheet stands still."""
     scene = nip(initial="settled", speed=-200.0)
     walls = {
+        "roof": diffeed.LineGuide(start=(15.5, 0.6), end=(3.0, 0.6)),
+        "floor": diffeed.LineGuide(start=(3.0, -0.6), end=(15.5, -0.6)),
         "over": diffeed.LineGuide(start=(16.0, 2.0), end=(16.0, 40.0), friction=0.5),
         "under": diffeed.LineGuide(start=(16.0, -40.0), end=(16.0, -2.0), friction=0.5),
     }
