@@ -12,9 +12,9 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    base: words names record_html records files folders terminal toml_text limits batching smooth once
+    base: words names record_html records files folders terminal toml_text limits batching products smooth once
     tuning plot_style
-    pair: shapes skin law
+    pair: shapes skin law rebound
     input: parts packing check_values check_rules check_records remarks paths scene_file stacking
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
@@ -22,7 +22,7 @@ RANKS = """
     contact: features profile bodies kept near sweep gained roller_pairs crossing stick watched candidates
     forces: terms sheet loads clamps contacts rollers assemble landing energy
     faults: causes balance overshoot judge
-    steppers: advance linear_euler extrapolated_euler runge_kutta midpoint
+    steppers: advance astray linear_euler extrapolated_euler runge_kutta midpoint
     readings: trajectory snapshot spans observe frames margin verdict agreement
     statics: coordinates relax rest vibrations
     run: progress error_control rollout joints examine pieces

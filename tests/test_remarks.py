@@ -51,8 +51,21 @@ def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
             "rollers.pinch.direction runs beside rollers.drive, not towards or away",
         ),
         ("gravity", (0.0, -9.81), "gravity is 9.81 mm/s2: in m/s2?"),
-        ("contacts.default.damping", 0.0, "contacts.default.damping is 0: what hits it is thrown back"),
-        ("contacts.default.damped", False, "contacts.default.damped is false: what hits it is thrown back"),
+        (
+            "contacts.default.damping",
+            0.0,
+            "contacts.default.damping is 0: what hits it at 100 mm/s is thrown back with 1 of",
+        ),
+        (
+            "contacts.default.damping",
+            0.2,
+            "contacts.default.damping is 0.2: what hits it at 100 mm/s is thrown back with 0.94",
+        ),
+        (
+            "contacts.default.damped",
+            False,
+            "contacts.default.damped is false: what hits it at 100 mm/s is thrown",
+        ),
         ("guides.turn.sweep", 1.5708, "guides.turn.sweep is 1.5708 degrees: in radians?"),
         ("rollers.drive.surface_speed", -1.5, "rollers.drive turns at 1.5 mm/s at most: in m/s?"),
         (

@@ -12,7 +12,7 @@ import diffeed
 from diffeed.base.records import replace
 from tests.search import fuzz, invalid, kill, mutations, oracle, seeds, valid
 
-LOST_REBOUNDS = (("gate", "linear_euler", 3), ("gate", "extrapolated_euler", 17), ("floor", "midpoint", 7))
+LOST_REBOUNDS = (("gate", "linear_euler", 3), ("gate", "extrapolated_euler", 4), ("floor", "midpoint", 7))
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
@@ -148,6 +148,18 @@ def test_a_run_that_is_wrong_does_not_hold(machine, method, seed):
     if true is None:
         pytest.fail("no run can tell: this is no example")
     assert not (one.ok and valid.is_wrong(one, true))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [12, 17, 25, 29])
+def test_steps_of_order_two_do_not_throw_what_they_hit(seed):
+    """A gate that hits a limp sheet within a step: by twice the halves less the whole it was 6.5 to 12 mm off. Measured: 1.3 to
+    2.0."""
+    made = diffeed.stack([valid.scene_of("gate", seed)])
+    one = valid.sample(valid.run_batch(made, dt=2e-4, method="extrapolated_euler"), 0)
+    (true,) = valid.true_runs(made)
+    assert one.ok
+    assert valid._apart(one, true)[0] < 3.0
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from diffeed.input.parts import (
     Scene,
     Sheet,
 )
+from diffeed.pair.rebound import rebound
 
 STIFFEST, LIMPEST = 5e5, 5.0
 """N/mm2: harder than any steel, and softer than rubber."""
@@ -48,6 +49,8 @@ BESIDE = 0.3
 """Cosine between the travel of a pinch and the way to its partner: less hardly presses."""
 BULKY, ROUGH, STUBBORN = 5.0, 3.0, 1e5
 """kg of a roller, its friction, N/mm of a contact: more is hardly meant."""
+HIT, LIVELY = 100.0, 0.9
+"""mm/s at which a contact is hit, and share of it that is thrown back: paper falls dead on sheet metal, rubber bounces more."""
 COURSES = ("displacement", "rotation", "values")
 """What a motion or a profile says for each of its times."""
 LATER = 10.0
@@ -174,16 +177,30 @@ def _drive(path: str, roller: Any, scene: Scene) -> Iterator[str]:
         yield f"{path} turns at {fastest:g} mm/s at most: in m/s? Feeders run at 100 to 3000 mm/s"
 
 
-def _contact(path: str, contact: Contact, _: Scene) -> Iterator[str]:
+def _contact(path: str, contact: Contact, scene: Scene) -> Iterator[str]:
     stiffness = _number(contact, "stiffness")
     if stiffness and stiffness > STUBBORN:
         yield f"{path}.stiffness is {stiffness:g}: in N/m? Rubber has 10 to 1000 N/mm, hard plastic 1e4"
-    if not contact.damped or _number(contact, "damping") == 0.0:
-        lacks = f"{path}.damping is 0" if contact.damped else f"{path}.damped is false"
+        return
+    law = [_number(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
+    masses = [mass for sheet in scene.sheets.values() if (mass := _mass_of_a_node(sheet))]
+    if None in law or not masses:
+        return
+    stiffness, exponent, damping, damping_exponent = (v for v in law if v is not None)
+    damping = damping if contact.damped else 0.0
+    thrown = rebound(stiffness, exponent, damping, damping_exponent, min(masses), HIT)
+    if thrown.share > LIVELY:
+        given = f"{path}.damping is {damping:g}" if contact.damped else f"{path}.damped is false"
         yield (
-            f"{lacks}: what hits it is thrown back with all its speed, which steps longer than the hit take away unseen; real"
-            " surfaces are damped"
+            f"{given}: what hits it at {HIT:g} mm/s is thrown back with {thrown.share:.2g} of its speed within"
+            f" {thrown.seconds:.1g} s, which longer steps take away unseen; real surfaces are damped"
         )
+
+
+def _mass_of_a_node(sheet: Sheet) -> float | None:
+    """kg."""
+    given = [_number(sheet, f) for f in ("density", "length", "width", "thickness")]
+    return None if None in given else float(np.prod(np.array(given, float))) / (sheet.bars + 1)
 
 
 def _mass(path: str, roller: MovableRoller, _: Scene) -> Iterator[str]:

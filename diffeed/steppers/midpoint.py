@@ -15,7 +15,6 @@ from jax import Array
 from diffeed.base.batching import any_of_batch
 from diffeed.base.products import ALL_DIGITS
 from diffeed.base.records import replace
-from diffeed.base.smooth import divide, polar
 from diffeed.chain import solve as chain_solve
 from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State, spread
@@ -30,8 +29,8 @@ from diffeed.forces.terms import Step
 from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler, runge_kutta
 from diffeed.steppers.advance import advance_positions, advance_velocities
+from diffeed.steppers.astray import RATES, astray
 
-RATES = ("vx", "vy", "rate", "travel_rate", "spin")
 PASSES = 5
 """Corrections per step, each a solve for the acceleration and one for the correction; the first guess is a half step of
 `linear_euler`. With 5 the way back of a whirling sheet is found to 1e-9 mm, with 4 to 5e-7."""
@@ -56,24 +55,10 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
     after = replace(after, time=state.time + h, stretch=middle.stretch, grip=stick.bounded(after.grip))
     if touching.sheets is None and touching.rollers is None:
         return after, touching
-    part = _astray(model, state, before, middle, half)
+    part = astray(model, state, middle, before, half, UNNOTICED, PLAIN)
     robust = jax.lax.cond(any_of_batch(part > 0), lambda: linear_euler.step(model, start, h, kept)[0], lambda: after)
     # Of a batch in which another goes astray, this one keeps its bits.
     return jax.tree.map(lambda a, b: jnp.where(part > 0, a + part * (b - a), a), after, robust), touching
-
-
-def _astray(model: Model, start: State, before: State, middle: State, half: Array) -> Array:
-    """0 to 1: how far the passes are from coming together, by how much of the whole change the last one made."""
-    wrong, whole = _apart(model, middle, before), _apart(model, middle, start)
-    whole = whole + half * polar(model.gravity[0], model.gravity[1])[0]  # of a sheet at rest all of it is rounding
-    part = jnp.clip((divide(wrong, whole) - UNNOTICED) / (PLAIN - UNNOTICED), 0.0, 1.0)
-    return part * part * (3.0 - 2.0 * part)
-
-
-def _apart(model: Model, one: State, other: State) -> Array:
-    """mm/s: the largest difference of any speed."""
-    reach = {"rate": jnp.max(model.bars.half_length), "spin": model.rollers.radius[model.rollers.free]}
-    return jnp.max(jnp.concatenate([jnp.abs(getattr(one, n) - getattr(other, n)) * reach.get(n, 1.0) for n in RATES]))
 
 
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
