@@ -21,7 +21,7 @@ from diffeed.input.parts import (
     Scene,
     Sheet,
 )
-from diffeed.pair.rebound import rebound
+from diffeed.pair.rebound import Rebound, rebound
 
 STIFFEST, LIMPEST = 5e5, 5.0
 """N/mm2: harder than any steel, and softer than rubber."""
@@ -182,19 +182,30 @@ def _contact(path: str, contact: Contact, scene: Scene) -> Iterator[str]:
     if stiffness and stiffness > STUBBORN:
         yield f"{path}.stiffness is {stiffness:g}: in N/m? Rubber has 10 to 1000 N/mm, hard plastic 1e4"
         return
-    law = [_number(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
-    masses = [mass for sheet in scene.sheets.values() if (mass := _mass_of_a_node(sheet))]
-    if None in law or not masses:
-        return
-    stiffness, exponent, damping, damping_exponent = (v for v in law if v is not None)
-    damping = damping if contact.damped else 0.0
-    thrown = rebound(stiffness, exponent, damping, damping_exponent, min(masses), HIT)
-    if thrown.share > LIVELY:
-        given = f"{path}.damping is {damping:g}" if contact.damped else f"{path}.damped is false"
+    if thrown := _thrown_back(contact, scene):
+        given = f"{path}.damping is {contact.damping:g}" if contact.damped else f"{path}.damped is false"
         yield (
             f"{given}: what hits it at {HIT:g} mm/s is thrown back with {thrown.share:.2g} of its speed within"
             f" {thrown.seconds:.1g} s, which longer steps take away unseen; real surfaces are damped"
         )
+
+
+def lively(scene: Scene) -> dict[str, Rebound]:
+    """Contact sets, by name, that throw a node back with more than `LIVELY` of its speed."""
+    found = {name: _thrown_back(contact, scene) for name, contact in scene.contacts.items()}
+    return {name: thrown for name, thrown in sorted(found.items()) if thrown}
+
+
+def _thrown_back(contact: Contact, scene: Scene) -> Rebound | None:
+    """What becomes of the lightest node, None if it loses more or a number is not known."""
+    law = [_number(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
+    masses = [mass for sheet in scene.sheets.values() if (mass := _mass_of_a_node(sheet))]
+    if None in law or not masses:
+        return None
+    stiffness, exponent, damping, damping_exponent = (v for v in law if v is not None)
+    damping = damping if contact.damped else 0.0
+    thrown = rebound(stiffness, exponent, damping, damping_exponent, min(masses), HIT)
+    return thrown if thrown.share > LIVELY else None
 
 
 def _mass_of_a_node(sheet: Sheet) -> float | None:

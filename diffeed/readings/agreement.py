@@ -12,6 +12,7 @@ import numpy as np
 from diffeed.base.limits import MAX_STEPS
 from diffeed.faults.causes import SHORTER
 from diffeed.input.parts import Scene
+from diffeed.input.remarks import lively
 from diffeed.readings.observe import NIP_WORDS, nip_unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.readings.verdict import judged
@@ -55,14 +56,25 @@ class Confirmation(NamedTuple):
     holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
     later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
+    unseen: tuple[
+        str, ...
+    ] = ()  # contact sets that throw back what hits them, which steps longer than a hit do not show
+    hit: float = 0.0  # s: their shortest hit
 
     def sentence(self) -> str:
         """What it came to, in words."""
-        if not (self.holds and self.unsure):
-            return self._of_place()
-        more = len(self.unsure) - MOST
-        told = "; ".join(self.unsure[:MOST]) + (f"; and {more} more" if more > 0 else "")
-        return f"{self._of_place()} Not confirmed of the rollers: {told}."
+        told = self._of_place()
+        if self.holds and self.unsure:
+            more = len(self.unsure) - MOST
+            told += (
+                f" Not confirmed of the rollers: {'; '.join(self.unsure[:MOST])}"
+                + (f"; and {more} more" * (more > 0))
+                + "."
+            )
+        if self.holds and self.unseen:
+            sets = ", ".join(f"contacts.{name}" for name in self.unseen)
+            told += f" Neither run shows what {sets} throw back, unless its steps are far below the {self.hit:.1g} s of a hit."
+        return told
 
     def _of_place(self) -> str:
         where = f"{self.apart:.3g} mm elsewhere ({self.sheet}, at {self.time:.3g} s), of {self.way:.3g} mm moved"
@@ -107,8 +119,21 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
     near = apart <= max(min(TOLD * float(run.error), WIDEST * way), SHARE * way)
     holds = bool(near and before == after != "failed")
     unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
+    thrown = lively(scene)
+    hit = min((one.seconds for one in thrown.values()), default=0.0)
     return Confirmation(
-        apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds, unsure, later
+        apart,
+        sheet,
+        float(times[frame]),
+        way,
+        before,
+        after,
+        float(times[until]),
+        holds,
+        unsure,
+        later,
+        tuple(thrown),
+        hit,
     )
 
 

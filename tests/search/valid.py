@@ -1,9 +1,10 @@
 """Random valid scenes, run in batches: no crash, nothing that is not finite, and nothing wrong that says it is right.
 
 Each scene is run with steps of two lengths. Every frame of a run that holds must be sound by plain geometry. Where both
-hold and differ (or, asked for, of every run that holds), two runs of order two in steps of microseconds decide: if they agree with each other, a run that is far from
-them is wrong; if not, the scene magnifies rounding (sheets that crumple or whirl) and no run can tell. Error-controlled runs do
-not decide: their tolerance would have to be far below the depth of a hit, which is micrometres where a limp sheet meets steel.
+hold and differ (or, asked for, of every run that holds), two runs of order two in steps of microseconds decide: if they agree
+with each other, a run that is far from them is wrong; if not, the scene magnifies rounding (sheets that crumple or whirl) and no
+run can tell. Error-controlled runs do not decide: their tolerance would have to be far below the depth of a hit, which is
+micrometres where a limp sheet meets steel.
 """
 
 import time
@@ -184,6 +185,8 @@ def command(count: int, first: int, machines: str, methods: str, thorough: bool)
     jax.config.update("jax_enable_x64", True)
     tuning.compile_quickly()
     names = machines.split(",")
+    if unknown := sorted(set(names) - set(MACHINES)):
+        raise click.BadParameter(f"{', '.join(unknown)}: there are {', '.join(MACHINES)}", param_hint="--machines")
     turns = [(name, method) for k, name in enumerate(names) for method in (methods.split(",") if methods else _turn(k))]
     each = -(-count // len(turns))
     tallies = []
