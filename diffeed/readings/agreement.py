@@ -56,21 +56,15 @@ class Confirmation(NamedTuple):
     holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
     later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
-    unseen: tuple[
-        str, ...
-    ] = ()  # contact sets that throw back what hits them, which steps longer than a hit do not show
-    hit: float = 0.0  # s: their shortest hit
+    unseen: tuple[str, ...] = ()  # contact sets that throw back what hits them: steps longer than a hit do not show it
+    hit: float = 0.0  # s: the shortest of their hits
 
     def sentence(self) -> str:
         """What it came to, in words."""
         told = self._of_place()
         if self.holds and self.unsure:
-            more = len(self.unsure) - MOST
-            told += (
-                f" Not confirmed of the rollers: {'; '.join(self.unsure[:MOST])}"
-                + (f"; and {more} more" * (more > 0))
-                + "."
-            )
+            more = [f"and {len(self.unsure) - MOST} more"] if len(self.unsure) > MOST else []
+            told += f" Not confirmed of the rollers: {'; '.join([*self.unsure[:MOST], *more])}."
         if self.holds and self.unseen:
             sets = ", ".join(f"contacts.{name}" for name in self.unseen)
             told += f" Neither run shows what {sets} throw back, unless its steps are far below the {self.hit:.1g} s of a hit."
@@ -121,20 +115,8 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
     unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
     thrown = lively(scene)
     hit = min((one.seconds for one in thrown.values()), default=0.0)
-    return Confirmation(
-        apart,
-        sheet,
-        float(times[frame]),
-        way,
-        before,
-        after,
-        float(times[until]),
-        holds,
-        unsure,
-        later,
-        tuple(thrown),
-        hit,
-    )
+    found = (apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds)
+    return Confirmation(*found, unsure, later, tuple(thrown), hit)
 
 
 def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:
