@@ -93,7 +93,8 @@ def test_products_keep_all_digits_everywhere(bars):
 @pytest.mark.filterwarnings("ignore", category=SinglePrecision)
 @pytest.mark.parametrize(("name", "place", "share"), [("float64", 1e-10, 1e-8), ("float32", 1e-3, 1e-2)])
 def test_an_accelerator_finds_what_the_processor_does(name, place, share):
-    """Of 30 ms of a strip in a nip: places (mm) and the gradient by every number, as a share of the largest of its kind."""
+    """Of 30 ms of a strip in a nip: places (mm) and the gradient by every number, as a share of the largest of its kind. Sums
+    are made in another order there: rounding, some hundred times magnified in 300 steps, and more in a gradient."""
 
     def found(device):
         with jax.default_device(device):

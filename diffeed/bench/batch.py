@@ -25,14 +25,9 @@ SPREAD = 0.01
 Show = Callable[[int, int, str], None]
 
 
-def sizes_for(platform: str) -> tuple[int, ...]:
-    """Sizes that tell something on a device of this kind."""
-    return SIZES if platform == "cpu" else SIZES + ON_ACCELERATORS
-
-
 def batch(
     scene: Scene,
-    sizes: Sequence[int] = SIZES,
+    sizes: Sequence[int] = (),
     precisions: Sequence[str] = ("float64", "float32"),
     dt: float = 1e-4,
     steps: int | None = None,
@@ -40,8 +35,9 @@ def batch(
     show: Show = lambda done, total, text: None,
 ) -> list[dict[str, Any]]:
     """One row per precision and size: compile and run time, steps of all samples per second, time per sample and step. `steps`
-    of each run are as many as the size of the batch needs unless given."""
+    of each run are as many as the size of the batch needs unless given, `sizes` those that tell something on the device."""
     rows = []
+    sizes = sizes or (SIZES if jax.default_backend() == "cpu" else SIZES + ON_ACCELERATORS)
     for name in precisions:
         for size in sizes:
             show(len(rows), len(precisions) * len(sizes), f"{size} samples, {name}")

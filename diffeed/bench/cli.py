@@ -155,12 +155,10 @@ def batch(
     """How fast batches of SCENE (film_feeder) step, in float64 and float32, on the device that JAX has."""
 
     def run(show: Any) -> dict[str, Any]:
-        import jax
-
-        from diffeed.bench.batch import QUICK_SIZES, batch, sizes_for
+        from diffeed.bench.batch import QUICK_SIZES, batch
 
         sound = load_sound(scene, assignments, {}, dt, None)
-        rows = batch(sound, sizes or (QUICK_SIZES if quick else sizes_for(jax.default_backend())), dt=dt, show=show)
+        rows = batch(sound, sizes or (QUICK_SIZES if quick else ()), dt=dt, show=show)
         return {"scene": scene, "rows": rows}
 
     _rows("batch", out, force, run, alone=False)

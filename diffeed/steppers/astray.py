@@ -1,9 +1,10 @@
 """Whether two ways through the same step, which should come together, are far apart: a hit that the step does not resolve."""
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.smooth import polar
+from diffeed.base.smooth import polar, step_down
 from diffeed.chain.state import State
 from diffeed.model.arrays import Model
 
@@ -18,8 +19,12 @@ def astray(model: Model, start: State, one: State, other: State, h: Array, unnot
     wrong, whole = _apart(model, one, other), _apart(model, one, start)
     # Of a sheet at rest all change is rounding.
     whole = whole + h * polar(model.gravity[0], model.gravity[1])[0] + NEGLIGIBLE
-    part = jnp.clip((wrong / whole - unnoticed) / (plain - unnoticed), 0.0, 1.0)
-    return part * part * (3.0 - 2.0 * part)
+    return step_down(0.5 * (unnoticed + plain) - wrong / whole, 0.5 * (plain - unnoticed))
+
+
+def mixed(part: Array, here: State, there: State) -> State:
+    """`here`, or as much of `there` as `part` says. Of a batch in which another goes astray, this one keeps its bits."""
+    return jax.tree.map(lambda a, b: jnp.where(part > 0, a + part * (b - a), a), here, there)
 
 
 def _apart(model: Model, one: State, other: State) -> Array:

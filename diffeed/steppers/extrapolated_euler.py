@@ -11,7 +11,6 @@ first: what error-controlled steps go by.
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 
 from diffeed.base.records import replace
@@ -21,7 +20,7 @@ from diffeed.contact.kept import Kept
 from diffeed.forces.contacts import Contacts
 from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler
-from diffeed.steppers.astray import astray
+from diffeed.steppers.astray import astray, mixed
 
 UNNOTICED, PLAIN = 0.25, 0.5
 """Of what speeds change by in a step: by how much its two ways may differ before the halves are taken, and from where on they
@@ -41,9 +40,8 @@ class Ways(NamedTuple):
         """The order-two combination; of a hit that the step does not resolve, the halves alone."""
         found = jax.tree.map(lambda two, one: 2.0 * two - one, self.halves, self.whole)
         found = replace(found, time=self.halves.time, grip=stick.bounded(found.grip))
-        part = self.astray
-        mixed = jax.tree.map(lambda a, b: jnp.where(part > 0, a + part * (b - a), a), found, self.halves)
-        return replace(mixed, angle=found.angle)  # what drives prescribe has no hits
+        # What drives prescribe has no hits.
+        return replace(mixed(self.astray, found, self.halves), angle=found.angle)
 
 
 def both_ways(model: Model, state: State, h: Array, kept: Kept) -> Ways:

@@ -29,7 +29,7 @@ from diffeed.forces.terms import Step
 from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler, runge_kutta
 from diffeed.steppers.advance import advance_positions, advance_velocities
-from diffeed.steppers.astray import RATES, astray
+from diffeed.steppers.astray import RATES, astray, mixed
 
 PASSES = 5
 """Corrections per step, each a solve for the acceleration and one for the correction; the first guess is a half step of
@@ -57,8 +57,7 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
         return after, touching
     part = astray(model, state, middle, before, half, UNNOTICED, PLAIN)
     robust = jax.lax.cond(any_of_batch(part > 0), lambda: linear_euler.step(model, start, h, kept)[0], lambda: after)
-    # Of a batch in which another goes astray, this one keeps its bits.
-    return jax.tree.map(lambda a, b: jnp.where(part > 0, a + part * (b - a), a), after, robust), touching
+    return mixed(part, after, robust), touching
 
 
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:
