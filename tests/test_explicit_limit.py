@@ -12,7 +12,7 @@ import diffeed
 from diffeed import FixedRoller, LineGuide, Scene, Sheet
 from diffeed.base.records import replace
 from diffeed.input.parts import Contact, normalise
-from diffeed.model.arrays import NEWTON
+from diffeed.pair.law import NEWTON
 from diffeed.readings.trajectory import Resume
 from diffeed.run.examine import explicit_limit, prepare
 from diffeed.run.progress import begin

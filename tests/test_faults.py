@@ -30,6 +30,7 @@ from diffeed.faults.causes import (
     FROM_NOWHERE,
     FROZEN,
     LEAPT,
+    LOST_REBOUND,
     NO_REST,
     NOT_FINITE,
     OUT_OF_ORDER,
@@ -444,3 +445,66 @@ def test_a_bar_across_a_drum_is_seen_whether_or_not_the_drum_has_ends(sweep):
     failed(diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=3), ACROSS, "guides.drum")
     beside = replace(scene, sheets={"strip": replace(scene.sheets["strip"], lead=jnp.array([20.0, 22.0]))})
     assert diffeed.check(beside) == []
+
+
+def struck(speed, damping=0.0, lead=-0.4):
+    """A strip that flies flat at a table, and is thrown back within 7e-5 s or not at all."""
+    contact = Contact(stiffness=3000.0, damping=damping, smoothing=1e-4, friction_law="none")
+    table = LineGuide(start=(-50.0, -2.0), end=(20.0, -2.0))
+    return machine(
+        strip(velocity=(0.0, -speed), lead=(0.0, lead)), contact, guides={"table": table}, gravity=(0.0, 0.0)
+    )
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_rebound_that_the_steps_take_away(method):
+    """400 mm/s, of which steps of four times the hit leave nothing: in 20 ms that is 8 mm."""
+    run = diffeed.simulate(struck(400.0), duration=0.01, dt=5e-4, frames=3, method=method)
+    failed(run, LOST_REBOUND, "guides.table")
+
+
+@pytest.mark.parametrize(
+    ("speed", "damping", "stepping"),
+    [
+        (400.0, 0.0, {"dt": 1e-6}),
+        (400.0, 0.0, {"dt": 2e-6, "method": "runge_kutta"}),
+        (200.0, 0.0, {"tolerance": 1e-3, "dt": 5e-4}),
+        (400.0, 50.0, {"dt": 5e-4}),
+        (100.0, 0.0, {"dt": 5e-4}),
+    ],
+)
+def test_a_rebound_that_is_resolved_or_damped_or_small_is_no_fault(speed, damping, stepping):
+    run = diffeed.simulate(struck(speed, damping), duration=4.0 / speed, frames=3, **stepping)
+    assert bool(run.ok), run.failure.describe()
+    back = float(run.states.vy[-1, 0])
+    assert (back > 0.65 * speed) == ("dt" not in stepping or stepping["dt"] < 1e-5 or "tolerance" in stepping)
+
+
+@pytest.mark.parametrize("stepping", [{"dt": 5e-4}, {"tolerance": 1e-2, "dt": 5e-4}])
+def test_rebounds_add_up_where_a_run_goes_on(stepping):
+    """Two hits of 120 mm/s, the second soon after the first: each alone is too little to be told."""
+    first = diffeed.simulate(struck(120.0), duration=0.012, frames=3, **stepping)
+    assert bool(first.ok), first.failure.describe()
+    assert np.asarray(first.final.lacks)[1, 0] > 50.0
+    anew = diffeed.simulate(struck(120.0), duration=0.012, frames=2, **stepping)
+    struck_again = replace(
+        anew.final, state=diffeed.simulate(struck(120.0), duration=1e-6, dt=1e-6, frames=2).final.state
+    )
+    run = diffeed.simulate(struck(120.0), duration=0.012, frames=3, initial=struck_again, **stepping)
+    failed(run, LOST_REBOUND, "guides.table")
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+def test_no_step_by_a_tolerance_passes_the_surface_it_hits(tolerance):
+    """Nothing touches where such a step begins, nor in its middle: both ways through it are alike, and go too deep. Before, the
+    strip came back with up to 2.4 times its speed."""
+    scene = struck(400.0)
+    run = diffeed.simulate(scene, duration=0.008, tolerance=tolerance, frames=17, observe=("energy",))
+    assert CAUSES[int(run.failure.cause)] in (CAUSES[0], CAUSES[LOST_REBOUND])
+    assert float(np.abs(run.states.vy).max()) < 401.0
+
+
+def test_lost_rebounds_are_of_each_sample_alone():
+    batch = diffeed.stack([struck(speed) for speed in (50.0, 400.0, 100.0)])
+    run = jax.vmap(lambda scene: diffeed.simulate(scene, duration=0.01, dt=5e-4, frames=3))(batch)
+    assert np.asarray(run.failure.cause).tolist() == [0, LOST_REBOUND, 0]

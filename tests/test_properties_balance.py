@@ -17,9 +17,8 @@ from diffeed.base.records import replace
 from diffeed.chain.state import initial_state
 from diffeed.contact.features import features
 from diffeed.input.parts import Scene
-from diffeed.model.arrays import NEWTON
 from diffeed.model.build import build
-from diffeed.pair.law import Surface, contact_law
+from diffeed.pair.law import NEWTON, Surface, contact_law
 from diffeed.readings.snapshot import look
 
 STEPS = 200

@@ -36,8 +36,8 @@ from diffeed.input.parts import (
     Sheet,
     normalise,
 )
-from diffeed.model.arrays import NEWTON
 from diffeed.model.build import build
+from diffeed.pair.law import NEWTON
 from diffeed.readings.snapshot import look
 from diffeed.run.rollout import _simulate, plan
 

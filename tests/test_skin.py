@@ -19,8 +19,8 @@ from diffeed.forces.contacts import Contacts, contacts, pair_terms
 from diffeed.forces.rollers import border
 from diffeed.forces.terms import Step
 from diffeed.input.parts import normalise
-from diffeed.model.arrays import NEWTON
 from diffeed.model.build import build
+from diffeed.pair.law import NEWTON
 from diffeed.readings.snapshot import contact_on_bars, look, on_rollers
 
 PAPER = {"thickness": 0.1, "width": 50.0, "density": 1e-6, "youngs_modulus": 2000.0}

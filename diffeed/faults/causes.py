@@ -46,6 +46,10 @@ _ALL = (
         "the times of a profile or a movement are out of order",
         "keep each after the one before: bounds and tolerances must not cross",
     ),
+    Cause(
+        "a sheet was not thrown back from what it hit, for the hit was over within a few steps",
+        "give the contact more damping, as real surfaces have, or take far shorter steps or a smaller tolerance",
+    ),
 )
 CAUSES = tuple(cause.what for cause in _ALL)
 """Causes of a failed run, by number; 0 is none."""
@@ -68,4 +72,5 @@ REMEDIES = tuple(cause.remedy for cause in _ALL)
     TURNED_ABOUT,
     BEHIND,
     OUT_OF_ORDER,
+    LOST_REBOUND,
 ) = range(1, len(_ALL))

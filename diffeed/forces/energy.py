@@ -14,8 +14,8 @@ from diffeed.contact.sweep import Pairs
 from diffeed.forces.clamps import hold_speed, hold_target
 from diffeed.forces.contacts import Contacts
 from diffeed.forces.loads import pushes
-from diffeed.model.arrays import NEWTON, Model
-from diffeed.pair.law import Surface, elastic_energy, elastic_force
+from diffeed.model.arrays import Model
+from diffeed.pair.law import NEWTON, Surface, elastic_energy, elastic_force
 
 
 class Energies(NamedTuple):

@@ -21,6 +21,7 @@ from diffeed.input.parts import (
     Scene,
     Sheet,
 )
+from diffeed.pair.law import NEWTON
 from diffeed.pair.rebound import Rebound, rebound
 
 STIFFEST, LIMPEST = 5e5, 5.0
@@ -186,25 +187,19 @@ def _contact(path: str, contact: Contact, scene: Scene) -> Iterator[str]:
         given = f"{path}.damping is {contact.damping:g}" if contact.damped else f"{path}.damped is false"
         yield (
             f"{given}: what hits it at {HIT:g} mm/s is thrown back with {thrown.share:.2g} of its speed within"
-            f" {thrown.seconds:.1g} s, which longer steps take away unseen; real surfaces are damped"
+            f" {thrown.seconds:.1g} s, which longer steps take away: they may fail by that; real surfaces are damped"
         )
 
 
-def lively(scene: Scene) -> dict[str, Rebound]:
-    """Contact sets, by name, that throw a node back with more than `LIVELY` of its speed."""
-    found = {name: _thrown_back(contact, scene) for name, contact in scene.contacts.items()}
-    return {name: thrown for name, thrown in sorted(found.items()) if thrown}
-
-
 def _thrown_back(contact: Contact, scene: Scene) -> Rebound | None:
-    """What becomes of the lightest node, None if it loses more or a number is not known."""
+    """What becomes of the lightest node, None if it loses more than a tenth or a number is not known."""
     law = [_number(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
     masses = [mass for sheet in scene.sheets.values() if (mass := _mass_of_a_node(sheet))]
     if None in law or not masses:
         return None
     stiffness, exponent, damping, damping_exponent = (v for v in law if v is not None)
     damping = damping if contact.damped else 0.0
-    thrown = rebound(stiffness, exponent, damping, damping_exponent, min(masses), HIT)
+    thrown = rebound(NEWTON * stiffness, exponent, NEWTON * damping, damping_exponent, min(masses), HIT)
     return thrown if thrown.share > LIVELY else None
 
 

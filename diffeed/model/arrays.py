@@ -13,9 +13,6 @@ from diffeed.model.layout import Layout
 from diffeed.pair.law import Surface
 from diffeed.pair.shapes import Face
 
-NEWTON = 1000.0
-"""kg mm/s2 in one newton: the one place where forces change unit."""
-
 
 @record
 class Bars:

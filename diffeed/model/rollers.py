@@ -8,8 +8,9 @@ from jax import Array
 
 from diffeed.input.packing import stacked
 from diffeed.input.parts import FixedRoller, MovableRoller, Profile, Scene
-from diffeed.model.arrays import NEWTON, Drives, Rollers
+from diffeed.model.arrays import Drives, Rollers
 from diffeed.model.rows import columns, named
+from diffeed.pair.law import NEWTON
 
 
 def is_driven(roller: FixedRoller | MovableRoller) -> bool:

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.input.parts import Clamp, Scene, Sheet
-from diffeed.model.arrays import NEWTON, Bars, Hold, Push
+from diffeed.model.arrays import Bars, Hold, Push
 from diffeed.model.layout import Layout
 from diffeed.model.movements import path_of
+from diffeed.pair.law import NEWTON
 
 
 def joint_stiffness(sheet: Sheet) -> Array:

@@ -8,8 +8,7 @@ from jax import Array
 
 from diffeed.input.packing import stacked
 from diffeed.input.parts import Scene
-from diffeed.model.arrays import NEWTON
-from diffeed.pair.law import Surface
+from diffeed.pair.law import NEWTON, Surface
 
 
 def surface_of(scene: Scene, parts: list[tuple[str, Any]]) -> Surface:

@@ -15,6 +15,8 @@ from jax import Array
 from diffeed.base.records import record
 from diffeed.base.smooth import divide, power, powers, ramp
 
+NEWTON = 1000.0
+"""kg mm/s2 in one newton: the one place where forces change unit."""
 SLIDES = 1.5
 """Deflection, in stick displacements, at which friction is at its limit: the bound of the deflection."""
 BRISTLE_LAG = 3e-5

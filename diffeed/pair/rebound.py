@@ -1,40 +1,37 @@
-"""With what share of its speed, and within what time, a contact throws back what hits it: its law alone, without geometry."""
+"""With what share of its speed, and after what time, a contact throws back what hits it: its law alone, without geometry.
 
-from typing import NamedTuple
+m d'' = -(k d^p + c d^n d') from first touch until it parts. By its largest depth without damping, D, and the speed v of the
+hit, time goes as D/v, and all that is left is the ratio of damper to spring, r = c D^n v / (k D^p). Without damping the way
+in and out is known, and what the damper takes of the energy on it, to first order in r, is 2 r B with B the beta function of
+(n+1)/(p+1) and 3/2. The share of the speed is taken as 1/(1 + r B/2)^2, which has this slope and is within 0.09 of what the
+law gives where much is lost (`tests/test_rebound.py`).
+"""
 
-import numpy as np
-from scipy.integrate import solve_ivp
+from typing import Any, NamedTuple
 
-NEWTON = 1e3
-"""kg mm/s2."""
-LONGEST = 100.0
-"""Times what it takes to come to the deepest point at full speed: what is still in touch then is not thrown back."""
+import jax.numpy as jnp
+from jax import Array
+
+TOUCHED = 3.0
+"""Times D/v from touch to parting: 3.14 for a linear spring, 2.94 for a power of 1.5, 2.80 for one of 2."""
 
 
 class Rebound(NamedTuple):
     """Share of the speed that is left, and the time in touch (s)."""
 
-    share: float
-    seconds: float
+    share: Array
+    seconds: Array
 
 
-def rebound(
-    stiffness: float, exponent: float, damping: float, damping_exponent: float, mass: float, speed: float
-) -> Rebound:
-    """Of `mass` (kg) that hits a contact at `speed` (mm/s): m d'' = -max(0, k d^m + c d^n d'), from first touch until it parts or
-    is pulled. Stiffness in N/mm^exponent, damping in N s/mm^(1 + damping_exponent)."""
-    k, c = NEWTON * stiffness / mass, NEWTON * damping / mass
-    deepest = (0.5 * (exponent + 1.0) * speed**2 / k) ** (1.0 / (exponent + 1.0))  # without damping
-    second = deepest / speed
-    k, c = k * deepest**exponent * second / speed, c * deepest**damping_exponent * second
-
-    def motion(_: float, at: np.ndarray) -> list[float]:
-        depth, rate = max(at[0], 0.0), at[1]
-        return [rate, -max(0.0, k * depth**exponent + c * depth**damping_exponent * rate)]
-
-    def parted(_: float, at: np.ndarray) -> float:
-        return at[0]
-
-    parted.terminal, parted.direction = True, -1  # type: ignore[attr-defined]
-    run = solve_ivp(motion, (0.0, LONGEST), [1e-9, 1.0], method="LSODA", events=parted, rtol=1e-6, atol=1e-9)
-    return Rebound(max(0.0, -float(run.y[1, -1])) if run.t_events[0].size else 0.0, second * float(run.t[-1]))
+def rebound(stiffness: Any, exponent: Any, damping: Any, damping_exponent: Any, mass: Any, speed: Any) -> Rebound:
+    """Of `mass` (kg) that hits a contact at `speed` (mm/s, > 0). Stiffness in kg/(s^2 mm^(exponent - 1)), damping in
+    kg/(s mm^damping_exponent), or None where nothing is damped. Any shapes that fit."""
+    squared = speed * speed * mass
+    log_depth = jnp.log(0.5 * (exponent + 1.0) * squared / stiffness) / (exponent + 1.0)
+    seconds = TOUCHED * jnp.exp(log_depth) / speed
+    if damping is None:
+        return Rebound(jnp.ones_like(seconds), seconds)
+    ratio = 2.0 * damping * speed * jnp.exp((damping_exponent + 1.0) * log_depth) / ((exponent + 1.0) * squared)
+    x = (damping_exponent + 1.0) / (exponent + 1.0)
+    lost = ratio / (x * jnp.sqrt(1.0 + 1.25 * x))  # the beta function within 1 %
+    return Rebound(1.0 / (1.0 + 0.5 * lost) ** 2, seconds)

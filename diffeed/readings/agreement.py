@@ -12,7 +12,6 @@ import numpy as np
 from diffeed.base.limits import MAX_STEPS
 from diffeed.faults.causes import SHORTER
 from diffeed.input.parts import Scene
-from diffeed.input.remarks import lively
 from diffeed.readings.observe import NIP_WORDS, nip_unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.readings.verdict import judged
@@ -56,8 +55,6 @@ class Confirmation(NamedTuple):
     holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
     later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
-    unseen: tuple[str, ...] = ()  # contact sets that throw back what hits them: steps longer than a hit do not show it
-    hit: float = 0.0  # s: the shortest of their hits
 
     def sentence(self) -> str:
         """What it came to, in words."""
@@ -65,9 +62,6 @@ class Confirmation(NamedTuple):
         if self.holds and self.unsure:
             more = [f"and {len(self.unsure) - MOST} more"] if len(self.unsure) > MOST else []
             told += f" Not confirmed of the rollers: {'; '.join([*self.unsure[:MOST], *more])}."
-        if self.holds and self.unseen:
-            sets = ", ".join(f"contacts.{name}" for name in self.unseen)
-            told += f" Neither run shows what {sets} throw back, unless its steps are far below the {self.hit:.1g} s of a hit."
         return told
 
     def _of_place(self) -> str:
@@ -113,10 +107,8 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
     near = apart <= max(min(TOLD * float(run.error), WIDEST * way), SHARE * way)
     holds = bool(near and before == after != "failed")
     unsure = tuple(_unlike(run, again)) if run.ok and again.ok else ()
-    thrown = lively(scene)
-    hit = min((one.seconds for one in thrown.values()), default=0.0)
     found = (apart, sheet, float(times[frame]), way, before, after, float(times[until]), holds)
-    return Confirmation(*found, unsure, later, tuple(thrown), hit)
+    return Confirmation(*found, unsure, later)
 
 
 def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:

@@ -15,7 +15,8 @@ from diffeed.contact.features import shared, to_bars
 from diffeed.contact.kept import Kept, by_roller, keep_all
 from diffeed.contact.sweep import Pairs, heading
 from diffeed.forces.contacts import Contacts, contacts
-from diffeed.model.arrays import NEWTON, Model
+from diffeed.model.arrays import Model
+from diffeed.pair.law import NEWTON
 from diffeed.readings.trajectory import GuideTrack, Parts, RollerTrack, SheetTrack
 
 

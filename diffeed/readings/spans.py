@@ -12,7 +12,8 @@ from diffeed.base.smooth import divide
 from diffeed.chain.state import State
 from diffeed.contact.kept import by_circle
 from diffeed.input.parts import Scene
-from diffeed.model.arrays import NEWTON, Model
+from diffeed.model.arrays import Model
+from diffeed.pair.law import NEWTON
 
 PEAK = 4.0
 """Exponent of the time mean that stands for a peak: smooth, and not ruled by one step."""

@@ -142,7 +142,7 @@ class Trajectory:
 @record
 class Resume:
     """What a run needs to go on where another stopped: state, failure so far, open observations, next step to try (s),
-    the sheets' energy, the error so far and half of the last step."""
+    the sheets' energy, the error so far, what rebounds they lack and half of the last step."""
 
     state: State  # at the end of the run
     cause: Any  # number of the cause of a failure, 0 for none
@@ -151,6 +151,7 @@ class Resume:
     next_step: Any  # s
     book: Any  # of the sheets' energy
     error: Any  # mm, so far
+    lacks: Any  # (2, sheets) mm/s, by rebounds that steps took away
     half: Any  # s, of the last step: in an integral by the trapezoidal rule it belongs to the next look
 
 

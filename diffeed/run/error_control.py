@@ -20,13 +20,15 @@ from diffeed.chain.kinematics import node_velocities, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import spins
 from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, search
+from diffeed.contact.hits import unfelt
 from diffeed.contact.profile import all_times
-from diffeed.faults.causes import OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
+from diffeed.faults.causes import LOST_REBOUND, OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
+from diffeed.faults.rebounds import Steps
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings.trajectory import Resume
 from diffeed.run.progress import recomputed, searched, taken
-from diffeed.steppers import ESTIMATING
+from diffeed.steppers import ESTIMATING, ORDERS
 from diffeed.steppers.extrapolated_euler import Ways, both_ways
 
 BLOCK = 8
@@ -87,6 +89,11 @@ class _Block(NamedTuple):
     lengths: Array
 
 
+def steps(control: Control, limits: Limits) -> Steps:
+    """As hits are judged by."""
+    return Steps(ORDERS[control.method], limits.tolerance / HORIZON)
+
+
 def blocks(most_steps: int, frames: int) -> int:
     """Blocks with room for `most_steps`; a frame ends one early."""
     return -(-most_steps // BLOCK) + frames
@@ -102,7 +109,7 @@ def run(control: Control, limits: Limits, model: Model, scene: Scene, first: Res
 @run.defjvp
 def _run_jvp(control: Control, given: Any, moved: Any) -> Any:
     found = lax.stop_gradient(_find(control, *given))
-    replay = functools.partial(_replay, control, found.schedule, found.progress)
+    replay = functools.partial(_replay, control, given[0], found.schedule, found.progress)
     return jax.jvp(replay, given[1:], moved[1:])  # limits have no derivative
 
 
@@ -195,10 +202,14 @@ def _attempts(
         h = jnp.where(block.h >= left, left, jnp.minimum(block.h, 0.5 * left))
         ways = both_ways(model, before.state, h, candidates.kept)
         error = _error(model, ways)
+        if ways.touching.sheets is not None:
+            error = jnp.maximum(error, HORIZON * unfelt(model, ways.touching.sheets, candidates.kept, h))
         after = replace(chosen(ways), time=jnp.where(h >= left, stop, time + h))
-        then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe)
-        # A step that fails is tried again shorter, as long as that is possible.
-        good = (error <= limits.tolerance) & (then.cause == 0)
+        then = taken(
+            model, scene, before, after, ways.touching, h, candidates.kept, control.observe, steps(control, limits)
+        )
+        # A step that fails is tried again shorter, as long as that is possible and of use.
+        good = (error <= limits.tolerance) & ((then.cause == 0) | (then.cause == LOST_REBOUND))
         stuck = _failed(before, h <= _smallest(time), TOO_SMALL)
         stuck = replace(stuck, cause=jnp.where((stuck.cause > 0) & (then.cause > 0), then.cause, stuck.cause))
         progress = jax.tree.map(lambda a, b: jnp.where(good, a, b), then, stuck)
@@ -240,11 +251,17 @@ def _error(model: Model, ways: Ways) -> Array:
 
 
 def _replay(
-    control: Control, schedule: Schedule, found: Resume, model: Model, scene: Scene, first: Resume
+    control: Control,
+    limits: Limits,
+    schedule: Schedule,
+    found: Resume,
+    model: Model,
+    scene: Scene,
+    first: Resume,
 ) -> tuple[Resume, State, Array]:
     """The same run with given steps: what a derivative goes through. Whether it failed is known already, but single precision
     may lose a step here that it found there: that is told."""
-    stepper, courses = ESTIMATING[control.method].step, all_times(model)
+    stepper, courses, judging = ESTIMATING[control.method].step, all_times(model), steps(control, limits)
 
     def one_block(carry: Resume, lengths: Array) -> tuple[Resume, State]:
         def work(carry: Resume) -> Resume:
@@ -256,7 +273,9 @@ def _replay(
                 def go(carry: Resume) -> Resume:
                     length = h + _goes_along(courses, carry.state.time, h, found.state.time)
                     after, touching = stepper(model, carry.state, length, candidates.kept)
-                    return taken(model, scene, carry, after, touching, length, candidates.kept, control.observe)
+                    return taken(
+                        model, scene, carry, after, touching, length, candidates.kept, control.observe, judging
+                    )
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None
 

@@ -17,8 +17,18 @@ from diffeed.contact.candidates import Candidates, check_reach
 from diffeed.contact.crossing import misplaced_at
 from diffeed.contact.kept import Kept, keep_all
 from diffeed.contact.profile import in_order
-from diffeed.faults import balance, judge
-from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, MOVED_TOO_FAR, NO_REST, OUT_OF_ORDER, TOO_MANY_NEAR
+from diffeed.faults import balance, judge, rebounds
+from diffeed.faults.causes import (
+    ACROSS,
+    BEHIND,
+    FROM_NOWHERE,
+    LOST_REBOUND,
+    MOVED_TOO_FAR,
+    NO_REST,
+    OUT_OF_ORDER,
+    TOO_MANY_NEAR,
+)
+from diffeed.faults.rebounds import Steps
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -64,6 +74,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
         next_step=jnp.full((), FIRST, dtype),
         book=book,
         error=jnp.zeros((), dtype),
+        lacks=jnp.zeros((2, len(model.layout.names)), dtype),
         half=jnp.zeros((), dtype),
     )
     # No weak types: what goes on from the end of a run is the same program as what goes on from here.
@@ -86,6 +97,7 @@ def taken(
     h: Array,
     kept: Kept,
     observe: tuple[str, ...],
+    steps: Steps,
     explicit: bool = False,
 ) -> Resume:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
@@ -95,6 +107,10 @@ def taken(
     (cause, leap), book = judge.of_step(judged, then, now, met, near, h, explicit), carry.book
     if balance.is_kept(model):
         book = balance.entered(judged, book, met, h)
+    lacks = carry.lacks
+    if met.sheets is not None:
+        lacks = rebounds.lacking(lacks, rebounds.lost(judged, met.sheets, near, h, steps), h)
+        cause = jnp.where((cause == 0) & rebounds.matters(lacks), LOST_REBOUND, cause).astype(jnp.int32)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
@@ -110,6 +126,7 @@ def taken(
         next_step=carry.next_step,
         book=book,  # of no use once a run has failed
         error=carry.error + jnp.where(fine, leap, 0.0),
+        lacks=jnp.where(fine, lacks, carry.lacks),
         half=jnp.where(fine, 0.5 * h, carry.half),
     )
 

@@ -14,8 +14,18 @@ from diffeed.chain.state import State
 from diffeed.contact.candidates import search
 from diffeed.contact.crossing import misplaced
 from diffeed.contact.kept import keep_all
-from diffeed.faults.causes import ACROSS, BEHIND, FROM_NOWHERE, NO_REST, OUT_OF_ORDER, TOO_DEEP, UNRESOLVED
+from diffeed.faults.causes import (
+    ACROSS,
+    BEHIND,
+    FROM_NOWHERE,
+    LOST_REBOUND,
+    NO_REST,
+    OUT_OF_ORDER,
+    TOO_DEEP,
+    UNRESOLVED,
+)
 from diffeed.faults.judge import severity
+from diffeed.faults.rebounds import Steps, lost_impulse
 from diffeed.input.check_records import checked
 from diffeed.input.check_values import show
 from diffeed.input.packing import bare, jit_of_scene
@@ -27,7 +37,7 @@ from diffeed.readings.snapshot import felt_by_bodies, gaps_to_bodies, look, part
 from diffeed.readings.trajectory import Failure, Resume, Trajectory
 from diffeed.run import error_control
 from diffeed.run.progress import begin, recomputed, searched, taken
-from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, STEPPERS
+from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, ORDERS, STEPPERS
 
 BLOCK = 16
 """Most steps between two searches for candidates."""
@@ -162,7 +172,7 @@ def _simulate(
     """Steps of one length."""
     model, scene = build(scene), bare(scene)
     h = jnp.asarray(dt, scene.gravity.dtype)
-    first = begin(model, scene, initial, observe)
+    first, steps = begin(model, scene, initial, observe), Steps(ORDERS[method])
 
     def one_block(carry: Resume, start: Array) -> Resume:
         with jax.named_scope("search"):
@@ -173,7 +183,7 @@ def _simulate(
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             after, touching = STEPPERS[method](model, carry.state, h, found.kept)
             after = replace(after, time=time)
-            return taken(model, scene, carry, after, touching, h, found.kept, observe, method in EXPLICIT), None
+            return taken(model, scene, carry, after, touching, h, found.kept, observe, steps, method in EXPLICIT), None
 
         last, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
         return searched(model, found, carry, last)
@@ -191,7 +201,7 @@ def _simulate(
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
     (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
     gone = jnp.round((last.state.time - first.state.time) / h).astype(int)
-    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe)
+    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe, steps)
 
 
 @jit_of_scene(static_argnames=("control",))
@@ -205,7 +215,7 @@ def _simulate_to(
     last, states, count = error_control.run(control, limits, model, scene, first)
     mean = (last.state.time - first.state.time) / jnp.maximum(count, 1).astype(limits.frame.dtype)
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
-    return _trajectory(model, scene, last, states, mean, count, control.observe)
+    return _trajectory(model, scene, last, states, mean, count, control.observe, error_control.steps(control, limits))
 
 
 def _trajectory(
@@ -216,11 +226,12 @@ def _trajectory(
     dt: Array,
     steps: Array,
     observe: tuple[str, ...],
+    stepping: Steps,
 ) -> Trajectory:
     """Look at the frames."""
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
     end = End(model, last.state, last.half)
-    part = _blamed(model, last, dt) if model.has_bodies else jnp.full((), -1, jnp.int32)
+    part = _blamed(model, last, dt, stepping) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
         dt=dt,
@@ -242,7 +253,7 @@ def _trajectory(
     )
 
 
-def _blamed(model: Model, last: Resume, h: Array) -> Array:
+def _blamed(model: Model, last: Resume, h: Array, steps: Steps) -> Array:
     """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
     force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
     at, _, touching = look(model, last.state)
@@ -255,8 +266,10 @@ def _blamed(model: Model, last: Resume, h: Array) -> Array:
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(force), jnp.inf, force))
     nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
     pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(gap, 0.0)), pressed)
+    lost = jnp.sum(lost_impulse(model, touching.sheets, keep_all(model), h, steps), axis=1)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
     weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), astray, pressed))
+    weight = jnp.where((last.cause == LOST_REBOUND) & (jnp.max(lost) > 0), lost, weight)
     by_part = _by_part(model, weight)
     return jnp.where(jnp.max(by_part) > 0, jnp.argmax(by_part), -1).astype(jnp.int32)
 

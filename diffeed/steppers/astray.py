@@ -16,7 +16,12 @@ RATES = ("vx", "vy", "rate", "travel_rate", "spin")
 def astray(model: Model, start: State, one: State, other: State, h: Array, unnoticed: float, plain: float) -> Array:
     """0 to 1: by what share of the whole change from `start` to `one`, in a time h, the two are apart: 0 up to `unnoticed`, 1
     from `plain` on, smooth between."""
-    wrong, whole = _apart(model, one, other), _apart(model, one, start)
+    return of_change(model, start, one, _apart(model, one, other), h, unnoticed, plain)
+
+
+def of_change(model: Model, start: State, end: State, wrong: Array, h: Array, unnoticed: float, plain: float) -> Array:
+    """0 to 1: what share a speed, mm/s, is of the whole change from `start` to `end` in a time h."""
+    whole = _apart(model, end, start)
     # Of a sheet at rest all change is rounding.
     whole = whole + h * polar(model.gravity[0], model.gravity[1])[0] + NEGLIGIBLE
     return step_down(0.5 * (unnoticed + plain) - wrong / whole, 0.5 * (plain - unnoticed))

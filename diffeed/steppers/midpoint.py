@@ -6,6 +6,7 @@ The middle is found by Newton's method on the plain equations of motion, (q' - q
 and no accuracy. Without friction and dampers energy does not drift. Stiff damped contact is followed, not damped away:
 `linear_euler` and `extrapolated_euler` are the methods for large steps. Where the passes do not come together (a sheet lands and
 leaves within a step) their last one would brake and throw by forces that no step has: such a step is one of `linear_euler`.
+So is one in which dampers should stop what hits them: what stands in the middle of a step goes back as fast at its end.
 """
 
 import jax
@@ -21,7 +22,9 @@ from diffeed.chain.state import State, spread
 from diffeed.chain.sums import from_mean
 from diffeed.chain.system import System
 from diffeed.contact import stick
+from diffeed.contact.hits import closing, hits, taken_away
 from diffeed.contact.kept import Kept
+from diffeed.contact.sweep import Pairs
 from diffeed.forces.assemble import assemble
 from diffeed.forces.clamps import closing_rate
 from diffeed.forces.contacts import Contacts
@@ -29,7 +32,7 @@ from diffeed.forces.terms import Step
 from diffeed.model.arrays import Model
 from diffeed.steppers import linear_euler, runge_kutta
 from diffeed.steppers.advance import advance_positions, advance_velocities
-from diffeed.steppers.astray import RATES, astray, mixed
+from diffeed.steppers.astray import RATES, astray, mixed, of_change
 
 PASSES = 5
 """Corrections per step, each a solve for the acceleration and one for the correction; the first guess is a half step of
@@ -56,8 +59,18 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
     if touching.sheets is None and touching.rollers is None:
         return after, touching
     part = astray(model, state, middle, before, half, UNNOTICED, PLAIN)
+    if touching.sheets is not None:
+        part = jnp.maximum(part, _thrown_back(model, start, after, touching.sheets, h, kept))
     robust = jax.lax.cond(any_of_batch(part > 0), lambda: linear_euler.step(model, start, h, kept)[0], lambda: after)
     return mixed(part, after, robust), touching
+
+
+def _thrown_back(model: Model, start: State, after: State, pairs: Pairs, h: Array, kept: Kept) -> Array:
+    """0 to 1: how far what hits a contact is thrown back by the step, and not by the contact's law."""
+    which = closing(pairs, h)
+    hit = hits(model, pairs, kept, which)
+    wrong = jnp.where(which, taken_away(h / hit.law.seconds, 2) * (1.0 - hit.law.share) * hit.speed, 0.0)
+    return of_change(model, start, after, jnp.max(wrong), h, UNNOTICED, PLAIN)
 
 
 def _corrected(model: Model, start: State, guess: State, half: Array, kept: Kept) -> State:

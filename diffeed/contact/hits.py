@@ -1,0 +1,72 @@
+"""Hits: pairs that meet at some speed, and what becomes of that by the contact law alone (`pair.rebound`)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.base.smooth import power
+from diffeed.contact.features import laid_out
+from diffeed.contact.kept import Kept
+from diffeed.contact.sweep import Pairs
+from diffeed.model.arrays import Model
+from diffeed.pair.rebound import Rebound, rebound
+
+SLOWEST = 1e-3
+"""mm/s: what comes nearer more slowly hits nothing."""
+
+
+class Hits(NamedTuple):
+    """Of each pair, (bodies, features) or (pairs,)."""
+
+    mass: Array  # kg, of a node: what is behind the touched point in the time of a hit
+    speed: Array  # mm/s, > 0; 1 where nothing hits
+    law: Rebound
+
+
+def hits(model: Model, pairs: Pairs, kept: Kept, which: Array) -> Hits:
+    """The `which` pairs, bool, as hits at the speed at which they come nearer."""
+    surface = kept.surface
+    mass, speed = _of_nodes(model, kept), jnp.where(which, -pairs.v_n, 1.0)
+    law = rebound(surface.stiffness, surface.exponent, surface.damping, surface.damping_exponent, mass, speed)
+    return Hits(mass, speed, law)
+
+
+def _of_nodes(model: Model, kept: Kept) -> Array:
+    """kg, of the node at each pair's feature: of the bars beside it a half each."""
+    mass = laid_out(model, (model.bars.mass,), kept.pairs)[-1][0]
+    return jnp.where(kept.own.first | kept.own.tail, 0.5, 1.0) * mass
+
+
+def entered(pairs: Pairs, h: Array) -> Array:
+    """Pairs that begin to touch within a step of length h, as they move now."""
+    return (pairs.weight > 0) & (pairs.gap > 0) & (-pairs.v_n > SLOWEST) & (-pairs.v_n * h > pairs.gap)
+
+
+def closing(pairs: Pairs, h: Array) -> Array:
+    """Pairs that touch now or within a step of length h, and come nearer."""
+    return (pairs.weight > 0) & (-pairs.v_n > SLOWEST) & (-pairs.v_n * h > pairs.gap)
+
+
+def unfelt(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
+    """mm/s, the most of any pair: by what a contact that is entered in a step of length h should have changed a speed by its end,
+    and has not, since nothing touches where the step begins.
+
+    The impulse of the law on the way to the depth of the end, k d^(p+1)/((p+1) v) + c d^(n+1)/(n+1), over the mass.
+    """
+    surface, which = kept.surface, entered(pairs, h)
+    speed, depth = jnp.where(which, -pairs.v_n, 1.0), jnp.where(which, -pairs.v_n * h - pairs.gap, 0.0)
+    up, ahead = surface.exponent + 1.0, surface.damping_exponent + 1.0
+    impulse = surface.stiffness * power(depth, up) / (up * speed)
+    if surface.damping is not None:
+        impulse = impulse + surface.damping * power(depth, ahead) / ahead
+    return jnp.max(impulse / _of_nodes(model, kept))
+
+
+def taken_away(steps: Array, order: int) -> Array:
+    """0 to 1: the part of a rebound that is lost in steps of `steps` times its hit, by a method of that order.
+
+    Implicit Euler of an oscillator loses exp(-omega h/2) in each radian, over half a period exp(-pi^2/2 steps). The others are
+    bounds for what a dropped bar shows (`tests/test_rebound.py`).
+    """
+    return 1.0 - jnp.exp(-5.0 * steps) if order == 1 else 1.0 - 1.0 / (1.0 + 10.0 * steps**order)

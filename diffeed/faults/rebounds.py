@@ -1,0 +1,73 @@
+"""Rebounds that a step takes away: what hits a contact and leaves it within a few steps comes out too slow, or not at all.
+
+A contact is entered in one step. What the sheet brings into it there, what its law would give back, and how much of that
+steps of this length take away make the speed that the sheet lacks from then on. Where it is held or guided that is
+forgotten within some milliseconds; where not, it is elsewhere than the run says.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.base.batching import any_of_batch
+from diffeed.base.products import product
+from diffeed.chain.state import total_per_sheet
+from diffeed.contact.features import by_feature
+from diffeed.contact.hits import Hits, entered, hits, taken_away
+from diffeed.contact.kept import Kept
+from diffeed.contact.sweep import Pairs
+from diffeed.model.arrays import Model
+
+FORGOTTEN = 0.02
+"""s: what was lost fades so fast, for the next guide or nip is never far."""
+NOTICED = 3.0
+"""mm that the speed which a sheet lacks would make in this time: more fails a run."""
+
+
+def lacking(before: Array, lost: Array, h: Array) -> Array:
+    """(2, sheets) mm/s, after a step of length h in which more was `lost`."""
+    return before / (1.0 + h / FORGOTTEN) + lost
+
+
+def matters(lacks: Array) -> Array:
+    """Whether any sheet is elsewhere by the (2, sheets) mm/s that it lacks."""
+    return jnp.any(jnp.sum(lacks * lacks, axis=0) > (NOTICED / FORGOTTEN) ** 2)
+
+
+class Steps(NamedTuple):
+    """How a run goes through its hits: in steps of one length by a method of some order, or (else None) by a tolerance."""
+
+    order: int
+    tolerance: Array | None = None  # mm/s that a speed may be wrong by after one step
+
+
+def lost(model: Model, pairs: Pairs, kept: Kept, h: Array, steps: Steps) -> Array:
+    """(2, sheets) mm/s: what sheets lack in the mean by the contacts that they enter in a step of length h."""
+    mass = total_per_sheet(model.layout, model.bars.mass)
+
+    def of_hits() -> Array:
+        impulse = lost_impulse(model, pairs, kept, h, steps)
+        of_features = by_feature(model, jnp.stack([impulse * pairs.nx, impulse * pairs.ny]), kept.pairs)
+        return product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype)) / mass[None]
+
+    def nothing() -> Array:
+        return jnp.zeros((2, mass.shape[0]), mass.dtype)
+
+    return jax.lax.cond(any_of_batch(jnp.any(entered(pairs, h))), of_hits, nothing)
+
+
+def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, steps: Steps) -> Array:
+    """Of each pair, kg mm/s: along its normal, 0 where nothing is entered."""
+    which = entered(pairs, h)
+    hit = hits(model, pairs, kept, which)
+    return jnp.where(which, hit.law.share * _slower(hit, h, steps) * hit.mass, 0.0)
+
+
+def _slower(hit: Hits, h: Array, steps: Steps) -> Array:
+    """mm/s, of what would come back. Implicit Euler errs by (omega h)^2/4 of the speed in a step and by pi/2 omega h of it in a
+    hit: by pi times the root of the speed and of the error that a step may have. Measured: up to 2, by both orders."""
+    if steps.tolerance is None:
+        return taken_away(h / hit.law.seconds, steps.order) * hit.speed
+    return jnp.minimum(hit.speed, 2.0 * jnp.sqrt(steps.tolerance * hit.speed))
