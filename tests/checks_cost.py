@@ -11,7 +11,7 @@ import numpy as np
 
 import diffeed
 from diffeed import tuning
-from diffeed.faults import balance, judge
+from diffeed.faults import balance, judge, rebounds
 from diffeed.input.parts import normalise
 from diffeed.run import progress
 from diffeed.run.examine import prepare
@@ -21,10 +21,11 @@ TURNS = 151
 
 def without_checks():
     """The library with nothing looked for in a step or a block; the search's own completeness stays."""
-    none = (jnp.zeros((), jnp.int32), jnp.zeros(()))
+    none = (jnp.zeros((), jnp.int32), jnp.zeros(()), jnp.zeros((), bool))
     return (
         mock.patch.object(judge, "of_step", return_value=none),
         mock.patch.object(balance, "is_kept", return_value=False),
+        mock.patch.object(rebounds, "judged", side_effect=lambda model, before, *_: (before, jnp.zeros((), bool))),
         mock.patch.object(progress, "_misplaced", return_value=jnp.zeros((), jnp.int32)),
     )
 

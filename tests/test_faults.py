@@ -485,7 +485,7 @@ def test_rebounds_add_up_where_a_run_goes_on(stepping):
     """Two hits of 120 mm/s, the second soon after the first: each alone is too little to be told."""
     first = diffeed.simulate(struck(120.0), duration=0.012, frames=3, **stepping)
     assert bool(first.ok), first.failure.describe()
-    assert np.asarray(first.final.lacks)[1, 0] > 50.0
+    assert np.asarray(first.final.lacks.speed)[1, 0] > 50.0
     anew = diffeed.simulate(struck(120.0), duration=0.012, frames=2, **stepping)
     struck_again = replace(
         anew.final, state=diffeed.simulate(struck(120.0), duration=1e-6, dt=1e-6, frames=2).final.state

@@ -10,9 +10,18 @@ from click.testing import CliRunner
 
 import diffeed
 from diffeed.base.records import replace
+from diffeed.faults.causes import LOST_REBOUND
 from tests.search import fuzz, invalid, kill, mutations, oracle, seeds, valid
 
-LOST_REBOUNDS = (("gate", "linear_euler", 3), ("gate", "extrapolated_euler", 4), ("floor", "midpoint", 7))
+LOST_REBOUNDS = (
+    ("gate", "linear_euler", 3, 1),
+    ("gate", "extrapolated_euler", 4, 1),
+    ("floor", "midpoint", 7, 1),
+    ("gate", "linear_euler", 9, 1),
+    ("gate", "linear_euler", 9, 4),
+)
+UNSEEN = (("pair_of_sheets", "linear_euler", 15), ("idle", "midpoint", 8))
+"""An undamped nip that rattles faster than the steps; a limp sheet that whirls."""
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
@@ -136,10 +145,17 @@ def test_the_oracle_of_valid_scenes_sees_what_is_wrong():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="a rebound that begins and ends within a step is lost unseen"
-)
-@pytest.mark.parametrize(("machine", "method", "seed"), LOST_REBOUNDS)
+@pytest.mark.parametrize(("machine", "method", "seed", "finer"), LOST_REBOUNDS)
+def test_a_rebound_that_is_lost_fails_the_run(machine, method, seed, finer):
+    """Found by the search: held, though 5 to 17 mm off. Of the last, runs in steps of 2e-4 and 5e-5 s agreed within 0.6 mm."""
+    made = diffeed.stack([valid.scene_of(machine, seed)])
+    run = valid.sample(valid.run_batch(made, dt=valid.STEPS[method] / finer, method=method), 0)
+    assert int(run.failure.cause) == LOST_REBOUND
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="what no run sees of itself")
+@pytest.mark.parametrize(("machine", "method", "seed"), UNSEEN)
 def test_a_run_that_is_wrong_does_not_hold(machine, method, seed):
     """Found by the search: off by more than 5 mm, a tenth of the way and three times what they tell of themselves."""
     made = diffeed.stack([valid.scene_of(machine, seed)])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.chain.state import State
+from diffeed.contact.hits import entered
 from diffeed.contact.kept import Kept, allowed_in_circles
 from diffeed.contact.roller_pairs import RollerPairs
 from diffeed.contact.sweep import Pairs
@@ -26,15 +27,18 @@ STILL = 1.0
 
 def of_step(
     model: Model, before: State, after: State, touching: Contacts, kept: Kept, h: Array, explicit: bool = False
-) -> tuple[Array, Array]:
-    """Cause of failure of a step, 0 for none, and its error by the order one (mm): half the step at the speed gained in it.
+) -> tuple[Array, Array, Array]:
+    """Cause of failure of a step, 0 for none; its error by the order one (mm): half the step at the speed gained in it; and
+    whether a contact is entered in it.
 
     `touching` are the contacts of the state before, as the steppers see them.
     """
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
     leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_idler(model, after))
-    cause = jnp.zeros((), jnp.int32) if touching.sheets is None else _of_pairs(touching.sheets, kept, h)
+    cause, hit = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+    if touching.sheets is not None:
+        cause, hit = _of_pairs(touching.sheets, kept, h)
     if touching.rollers is not None:
         cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
     if explicit:
@@ -43,7 +47,7 @@ def of_step(
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)
     cause = jnp.where(fastest > FASTEST, TOO_FAST, cause)
-    return jnp.where(jnp.isfinite(fastest), cause, _blown(model, touching)).astype(jnp.int32), leap
+    return jnp.where(jnp.isfinite(fastest), cause, _blown(model, touching)).astype(jnp.int32), leap, hit
 
 
 def _blown(model: Model, touching: Contacts) -> Array:
@@ -63,13 +67,13 @@ def _fastest_idler(model: Model, state: State) -> Array:
     return jnp.max(jnp.abs(state.spin * rollers.radius[rollers.free]), initial=0.0)
 
 
-def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> Array:
+def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
     depth, closing = _depth_and_approach(pairs, kept, h)
     deep = (pairs.touch.force > 0) & (depth > kept.allowed)
     unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
-    of_each = jnp.where(deep, 2, jnp.where(unresolved, 1, 0)).astype(jnp.int32)  # one sweep: every step pays for it
-    worst = jnp.max(of_each)
-    return jnp.where(worst == 2, TOO_DEEP, jnp.where(worst == 1, UNRESOLVED, 0)).astype(jnp.int32)
+    of_each = jnp.where(deep, 3, jnp.where(unresolved, 2, jnp.where(entered(pairs, h), 1, 0)))
+    worst = jnp.max(of_each.astype(jnp.int32))  # one sweep: every step pays for it
+    return jnp.where(worst == 3, TOO_DEEP, jnp.where(worst == 2, UNRESOLVED, 0)).astype(jnp.int32), worst > 0
 
 
 def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:

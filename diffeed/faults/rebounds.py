@@ -26,14 +26,11 @@ NOTICED = 3.0
 """mm that the speed which a sheet lacks would make in this time: more fails a run."""
 
 
-def lacking(before: Array, lost: Array, h: Array) -> Array:
-    """(2, sheets) mm/s, after a step of length h in which more was `lost`."""
-    return before / (1.0 + h / FORGOTTEN) + lost
+class Lacks(NamedTuple):
+    """What sheets lack by rebounds that steps took away."""
 
-
-def matters(lacks: Array) -> Array:
-    """Whether any sheet is elsewhere by the (2, sheets) mm/s that it lacks."""
-    return jnp.any(jnp.sum(lacks * lacks, axis=0) > (NOTICED / FORGOTTEN) ** 2)
+    speed: Array  # (2, sheets) mm/s, in the mean of a sheet
+    since: Array  # s, when that was found: it fades from there
 
 
 class Steps(NamedTuple):
@@ -43,19 +40,26 @@ class Steps(NamedTuple):
     tolerance: Array | None = None  # mm/s that a speed may be wrong by after one step
 
 
-def lost(model: Model, pairs: Pairs, kept: Kept, h: Array, steps: Steps) -> Array:
-    """(2, sheets) mm/s: what sheets lack in the mean by the contacts that they enter in a step of length h."""
-    mass = total_per_sheet(model.layout, model.bars.mass)
+def nothing(model: Model, time: Array) -> Lacks:
+    """Where a run begins."""
+    return Lacks(jnp.zeros((2, len(model.layout.names)), time.dtype), time)
 
-    def of_hits() -> Array:
+
+def judged(
+    model: Model, before: Lacks, pairs: Pairs, kept: Kept, time: Array, h: Array, steps: Steps, hit: Array
+) -> tuple[Lacks, Array]:
+    """What sheets lack after a step of length h from `time`, in which a contact is entered if `hit`, and whether that matters."""
+
+    def more() -> tuple[Lacks, Array]:
         impulse = lost_impulse(model, pairs, kept, h, steps)
         of_features = by_feature(model, jnp.stack([impulse * pairs.nx, impulse * pairs.ny]), kept.pairs)
-        return product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype)) / mass[None]
+        lost = product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype))
+        lost = lost / total_per_sheet(model.layout, model.bars.mass)[None]
+        speed = before.speed * jnp.exp((before.since - time) / FORGOTTEN) + lost
+        return Lacks(speed, time), jnp.any(jnp.sum(speed * speed, axis=0) > (NOTICED / FORGOTTEN) ** 2)
 
-    def nothing() -> Array:
-        return jnp.zeros((2, mass.shape[0]), mass.dtype)
-
-    return jax.lax.cond(any_of_batch(jnp.any(entered(pairs, h))), of_hits, nothing)
+    # Most steps enter nothing.
+    return jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
 
 
 def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, steps: Steps) -> Array:

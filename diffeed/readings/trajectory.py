@@ -151,7 +151,7 @@ class Resume:
     next_step: Any  # s
     book: Any  # of the sheets' energy
     error: Any  # mm, so far
-    lacks: Any  # (2, sheets) mm/s, by rebounds that steps took away
+    lacks: Any  # of the sheets' speeds, by rebounds that steps took away
     half: Any  # s, of the last step: in an integral by the trapezoidal rule it belongs to the next look
 
 

@@ -74,7 +74,7 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
         next_step=jnp.full((), FIRST, dtype),
         book=book,
         error=jnp.zeros((), dtype),
-        lacks=jnp.zeros((2, len(model.layout.names)), dtype),
+        lacks=rebounds.nothing(model, state.time),
         half=jnp.zeros((), dtype),
     )
     # No weak types: what goes on from the end of a run is the same program as what goes on from here.
@@ -104,13 +104,13 @@ def taken(
     before = carry.state
     # Judging has no derivative: nothing of it is carried on by one.
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
-    (cause, leap), book = judge.of_step(judged, then, now, met, near, h, explicit), carry.book
+    (cause, leap, hit), book = judge.of_step(judged, then, now, met, near, h, explicit), carry.book
     if balance.is_kept(model):
         book = balance.entered(judged, book, met, h)
     lacks = carry.lacks
     if met.sheets is not None:
-        lacks = rebounds.lacking(lacks, rebounds.lost(judged, met.sheets, near, h, steps), h)
-        cause = jnp.where((cause == 0) & rebounds.matters(lacks), LOST_REBOUND, cause).astype(jnp.int32)
+        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, steps, hit)
+        cause = jnp.where((cause == 0) & lost, LOST_REBOUND, cause).astype(jnp.int32)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
     opened = carry.open
@@ -126,7 +126,7 @@ def taken(
         next_step=carry.next_step,
         book=book,  # of no use once a run has failed
         error=carry.error + jnp.where(fine, leap, 0.0),
-        lacks=jnp.where(fine, lacks, carry.lacks),
+        lacks=lacks,
         half=jnp.where(fine, 0.5 * h, carry.half),
     )
 

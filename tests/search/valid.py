@@ -48,7 +48,7 @@ class Found(NamedTuple):
     confirmed: bool = False
     """Whether shorter steps agree with it."""
     remarked: bool = False
-    """Whether it is said that neither run need show what its contacts throw back (`Confirmation.unseen`, `diffeed.remarks`)."""
+    """Whether `diffeed.remarks` says that a contact throws back nearly all speed."""
 
 
 class Tally(NamedTuple):
@@ -117,8 +117,8 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0, thor
             elif is_wrong(one, true):
                 apart, way = _apart(one, true)
                 what = f"{apart:.3g} mm off, of {way:.3g} mm moved; it told of {float(one.error):.2g} mm"
-                again = diffeed.confirm(made, one, other)
-                confirmed, remarked = again.holds, bool(again.unseen)
+                confirmed = diffeed.confirm(made, one, other).holds
+                remarked = any("is thrown back" in said for said in diffeed.remarks(made))
                 what += ", and is confirmed" * confirmed + ", but remarked on" * remarked
                 found.append(Found(machine, method, seed, what, confirmed, remarked))
     return Tally(machine, method, count, refused, held, sensitive, causes, found, time.perf_counter() - began)
