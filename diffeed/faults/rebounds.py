@@ -22,7 +22,7 @@ from diffeed.model.arrays import Model
 
 FORGOTTEN = 0.02
 """s: what was lost fades so fast, for the next guide or nip is never far."""
-NOTICED = 3.0
+NOTICED = 2.0
 """mm that the speed which a sheet lacks would make in this time: more fails a run."""
 
 
