@@ -390,11 +390,11 @@ def test_what_the_checks_find_has_no_derivative():
 
     def told(speed):
         scene = diffeed.put(thrown(1.0), "sheets.strip.velocity", jnp.stack([jnp.zeros(()), -speed]))
-        return diffeed.simulate(scene, duration=0.01, dt=1e-4, frames=2).error
+        return diffeed.simulate(scene, duration=0.15, dt=1e-4, frames=2).error
 
-    # Half a step at the speed that the hit takes away: about twice as much at twice the speed.
-    assert float(told(4000.0)) > 1.5 * float(told(2000.0)) > 0.0
-    assert float(jax.grad(told)(2000.0)) == 0.0
+    # Half a step at the speed that the hit takes away: about half as much again at half as much speed more.
+    assert float(told(180.0)) > 1.3 * float(told(120.0)) > 0.0
+    assert float(jax.grad(told)(120.0)) == 0.0
 
 
 def test_a_run_goes_on_with_its_book():
@@ -410,10 +410,11 @@ def test_a_run_goes_on_with_its_book():
 @pytest.mark.long
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_a_guide_that_strikes_puts_energy_in(method):
-    """A post that comes at 2 m/s hits a sheet at rest within one step, in which no work is seen: no fault."""
+    """A post that comes at 2 m/s hits a sheet at rest within one step, in which no work is seen: no fault. Damped, lest it lose a
+    rebound."""
     motion = Motion(times=[0.0, 1.0], displacement=[(0.0, 0.0), (0.0, 2000.0)], rotation=[0.0, 0.0])
     post = CircleGuide(center=(-10.0, -6.0), radius=5.0, motion=motion)
-    contact = Contact(stiffness=300.0, damping=0.0)
+    contact = Contact(stiffness=300.0, damping=3.0)
     scene = machine(strip(), contact, guides={"post": post}, gravity=(0.0, 0.0))
     run = diffeed.simulate(scene, duration=0.004, dt=1e-4, frames=3, method=method)
     assert bool(run.ok), run.failure.describe()
