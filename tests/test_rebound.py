@@ -81,22 +81,22 @@ def test_a_bar_that_falls_flat_is_thrown_back_as_its_nodes_are(damping):
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", diffeed.METHODS)
-@pytest.mark.parametrize("exponent", [1.0, 2.0])
-def test_steps_take_away_no_more_of_a_rebound_than_is_said(method, exponent, monkeypatch):
+def test_steps_take_away_no_more_of_a_rebound_than_is_said(method, monkeypatch):
     """In the mean over when in a step the bar arrives, at 0.02 to 0.6 of the time of the hit (beyond, explicit steps have no
     use). Measured: up to 0.11 more than is said by implicit Euler, 0.03 by the others; at 0.02 all are within 0.03."""
     monkeypatch.setattr(rebounds, "NOTICED", np.inf)
-    hit = float(rebound(STIFFNESS, exponent, None, None, MASS, SPEED).seconds)
-    for steps in (0.02, 0.1, 0.3, 0.6):
-        h = steps * hit
-        made = diffeed.stack([dropped((2.0 + k / 8) * h * SPEED, exponent=exponent) for k in range(8)])
-        count = int(3 / steps) + 12
+    count = 162  # of all runs: one program
+    for exponent in (1.0, 2.0):
+        hit = float(rebound(STIFFNESS, exponent, None, None, MASS, SPEED).seconds)
+        for steps in (0.02, 0.1, 0.3, 0.6):
+            h = steps * hit
+            made = diffeed.stack([dropped((2.0 + k / 8) * h * SPEED, exponent=exponent) for k in range(8)])
 
-        def run(scene, h=h, count=count):
-            return diffeed.simulate(scene, duration=count * h, dt=h, frames=2, method=method)
+            def run(scene, h=h):
+                return diffeed.simulate(scene, duration=count * h, dt=h, frames=2, method=method)
 
-        thrown = jax.vmap(run)(made).states.vy[:, -1, 0] / SPEED
-        lost, said = float(1.0 - thrown.mean()), float(taken_away(steps, ORDERS[method]))
-        assert lost < said + (0.12 if method == "linear_euler" else 0.03), (steps, lost, said)
-        if steps == 0.02:
-            assert lost == pytest.approx(said, abs=0.03)
+            thrown = jax.vmap(run)(made).states.vy[:, -1, 0] / SPEED
+            lost, said = float(1.0 - thrown.mean()), float(taken_away(steps, ORDERS[method]))
+            assert lost < said + (0.12 if method == "linear_euler" else 0.03), (exponent, steps, lost, said)
+            if steps == 0.02:
+                assert lost == pytest.approx(said, abs=0.03)

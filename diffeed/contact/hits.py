@@ -49,18 +49,16 @@ def closing(pairs: Pairs, h: Array) -> Array:
 
 
 def unfelt(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
-    """mm/s, the most of any pair: by what a contact that is entered in a step of length h should have changed a speed by its end,
-    and has not, since nothing touches where the step begins.
+    """mm/s, the most of any pair: by what a contact that is entered in a step of length h should have slowed by its end, and has
+    not, since nothing touches where the step begins. What it would have stored comes out again as speed.
 
-    The impulse of the law on the way to the depth of the end, k d^(p+1)/((p+1) v) + c d^(n+1)/(n+1), over the mass.
+    The impulse of its spring on the way to the depth of the end, k d^(p+1)/((p+1) v), over the mass. What its damper misses, it
+    takes in the next step.
     """
     surface, which = kept.surface, entered(pairs, h)
     speed, depth = jnp.where(which, -pairs.v_n, 1.0), jnp.where(which, -pairs.v_n * h - pairs.gap, 0.0)
-    up, ahead = surface.exponent + 1.0, surface.damping_exponent + 1.0
-    impulse = surface.stiffness * power(depth, up) / (up * speed)
-    if surface.damping is not None:
-        impulse = impulse + surface.damping * power(depth, ahead) / ahead
-    return jnp.max(impulse / _of_nodes(model, kept))
+    up = surface.exponent + 1.0
+    return jnp.max(surface.stiffness * power(depth, up) / (up * speed * _of_nodes(model, kept)))
 
 
 def taken_away(steps: Array, order: int) -> Array:
