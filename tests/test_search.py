@@ -20,8 +20,8 @@ LOST_REBOUNDS = (
     ("gate", "linear_euler", 9, 1),
     ("gate", "linear_euler", 9, 4),
 )
-UNSEEN = (("pair_of_sheets", "linear_euler", 15), ("idle", "midpoint", 8))
-"""An undamped nip that rattles faster than the steps; a limp sheet that whirls."""
+UNSEEN = (("idle", "midpoint", 8),)
+"""A limp sheet that whirls."""
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
@@ -167,7 +167,7 @@ def test_a_run_that_is_wrong_does_not_hold(machine, method, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [12, 17, 25, 29])
+@pytest.mark.parametrize("seed", [12, 17, 29])
 def test_steps_of_order_two_do_not_throw_what_they_hit(seed):
     """A gate that hits a limp sheet within a step: by twice the halves less the whole it was 6.5 to 12 mm off. Measured: 1.3 to
     2.0."""

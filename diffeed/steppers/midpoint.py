@@ -42,6 +42,9 @@ UNNOTICED, PLAIN = 0.05, 0.2
 `linear_euler`, and from where on wholly so. Resolved steps stay below 0.02; in between is a mixture, so that a run has
 no jump."""
 
+HARMLESS = 10.0
+"""mm/s: what is thrown back more slowly hops by a hundredth of a millimetre at most."""
+
 
 def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Contacts]:
     """One step; also the contacts of the state it started from."""
@@ -69,7 +72,8 @@ def _thrown_back(model: Model, start: State, after: State, pairs: Pairs, h: Arra
     """0 to 1: how far what hits a contact is thrown back by the step, and not by the contact's law."""
     which = closing(pairs, h)
     hit = hits(model, pairs, kept, which)
-    wrong = jnp.where(which, taken_away(h / hit.law.seconds, 2) * (1.0 - hit.law.share) * hit.speed, 0.0)
+    fast = jnp.maximum(hit.speed - HARMLESS, 0.0)
+    wrong = jnp.where(which, taken_away(h / hit.law.seconds, 2) * (1.0 - hit.law.share) * fast, 0.0)
     return of_change(model, start, after, jnp.max(wrong), h, UNNOTICED, PLAIN)
 
 
