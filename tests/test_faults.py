@@ -465,45 +465,41 @@ def test_a_rebound_that_the_steps_take_away(method):
 
 
 @pytest.mark.parametrize(
-    ("speed", "damping", "stepping"),
+    ("speed", "damping", "stepping", "comes_back"),
     [
-        (400.0, 0.0, {"dt": 1e-6}),
-        (400.0, 0.0, {"dt": 2e-6, "method": "runge_kutta"}),
-        (200.0, 0.0, {"tolerance": 1e-3, "dt": 5e-4}),
-        (400.0, 50.0, {"dt": 5e-4}),
-        (80.0, 0.0, {"dt": 5e-4}),
+        (400.0, 0.0, {"dt": 1e-6}, True),
+        (400.0, 0.0, {"dt": 2e-6, "method": "runge_kutta"}, True),
+        (200.0, 0.0, {"tolerance": 1e-3, "dt": 5e-4}, True),
+        (400.0, 50.0, {"dt": 5e-4}, False),
+        (80.0, 0.0, {"dt": 5e-4}, False),
     ],
 )
-def test_a_rebound_that_is_resolved_or_damped_or_small_is_no_fault(speed, damping, stepping):
+def test_a_rebound_that_is_resolved_or_damped_or_small_is_no_fault(speed, damping, stepping, comes_back):
     run = diffeed.simulate(struck(speed, damping), duration=4.0 / speed, frames=3, **stepping)
     assert bool(run.ok), run.failure.describe()
-    back = float(run.states.vy[-1, 0])
-    assert (back > 0.65 * speed) == ("dt" not in stepping or stepping["dt"] < 1e-5 or "tolerance" in stepping)
+    assert (float(run.states.vy[-1, 0]) > 0.65 * speed) == comes_back
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("stepping", [{"dt": 5e-4}, {"tolerance": 1e-2, "dt": 5e-4}])
 def test_rebounds_add_up_where_a_run_goes_on(stepping):
-    """Two hits of 80 mm/s, the second soon after the first: each alone is too little to be told."""
-    first = diffeed.simulate(struck(80.0), duration=0.018, frames=3, **stepping)
+    """Two hits of 80 mm/s, 17 ms apart: each alone is too little to be told."""
+    scene = struck(80.0)
+    first = diffeed.simulate(scene, duration=0.018, frames=3, **stepping)
     assert bool(first.ok), first.failure.describe()
-    assert np.asarray(first.final.lacks.speed)[1, 0] > 40.0
-    anew = diffeed.simulate(struck(80.0), duration=0.018, frames=2, **stepping)
-    struck_again = replace(
-        anew.final, state=diffeed.simulate(struck(80.0), duration=1e-6, dt=1e-6, frames=2).final.state
-    )
-    run = diffeed.simulate(struck(80.0), duration=0.018, frames=3, initial=struck_again, **stepping)
-    failed(run, LOST_REBOUND, "guides.table")
+    anew = replace(initial_state(build(scene), scene), time=first.final.state.time)
+    again = diffeed.simulate(scene, duration=0.018, frames=3, initial=anew, **stepping)
+    assert bool(again.ok), again.failure.describe()
+    both = diffeed.simulate(scene, duration=0.018, frames=3, initial=replace(first.final, state=anew), **stepping)
+    failed(both, LOST_REBOUND, "guides.table")
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
 def test_no_step_by_a_tolerance_passes_the_surface_it_hits(tolerance):
-    """Nothing touches where such a step begins, nor in its middle: both ways through it are alike, and go too deep. Before, the
-    strip came back with up to 2.4 times its speed."""
-    scene = struck(400.0)
-    run = diffeed.simulate(scene, duration=0.008, tolerance=tolerance, frames=17, observe=("energy",))
-    assert CAUSES[int(run.failure.cause)] in (CAUSES[0], CAUSES[LOST_REBOUND])
-    assert float(np.abs(run.states.vy).max()) < 401.0
+    """Nothing touches where such a step begins, nor in its middle: both ways through it are alike, and go too deep."""
+    run = diffeed.simulate(struck(60.0), duration=0.04, tolerance=tolerance, frames=17)
+    assert bool(run.ok), run.failure.describe()
+    assert -1.0 < float(run.states.vy[-1, 0]) < 61.0
 
 
 def test_lost_rebounds_are_of_each_sample_alone():

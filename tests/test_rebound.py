@@ -1,17 +1,15 @@
 """What a contact throws back, by its law alone and in the simulator; and how much of it steps of any length take away."""
 
 import jax
-import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import diffeed
 from diffeed.contact.hits import taken_away
-from diffeed.faults import rebounds
 from diffeed.pair.rebound import rebound
 from diffeed.steppers import ORDERS
 
-STIFFNESS, MASS, SPEED = 2e5, 1e-4, 100.0
+STIFFNESS, MASS, SPEED = 2e5, 1e-4, 90.0
 
 
 def integrated(exponent, damping, damping_exponent):
@@ -81,10 +79,9 @@ def test_a_bar_that_falls_flat_is_thrown_back_as_its_nodes_are(damping):
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", diffeed.METHODS)
-def test_steps_take_away_no_more_of_a_rebound_than_is_said(method, monkeypatch):
+def test_steps_take_away_no_more_of_a_rebound_than_is_said(method):
     """In the mean over when in a step the bar arrives, at 0.02 to 0.6 of the time of the hit (beyond, explicit steps have no
     use). Measured: up to 0.11 more than is said by implicit Euler, 0.03 by the others; at 0.02 all are within 0.03."""
-    monkeypatch.setattr(rebounds, "NOTICED", np.inf)
     count = 162  # of all runs: one program
     for exponent in (1.0, 2.0):
         hit = float(rebound(STIFFNESS, exponent, None, None, MASS, SPEED).seconds)
@@ -95,7 +92,9 @@ def test_steps_take_away_no_more_of_a_rebound_than_is_said(method, monkeypatch):
             def run(scene, h=h):
                 return diffeed.simulate(scene, duration=count * h, dt=h, frames=2, method=method)
 
-            thrown = jax.vmap(run)(made).states.vy[:, -1, 0] / SPEED
+            runs = jax.vmap(run)(made)
+            assert bool(runs.ok.all())  # 90 mm/s are too little to be told
+            thrown = runs.states.vy[:, -1, 0] / SPEED
             lost, said = float(1.0 - thrown.mean()), float(taken_away(steps, ORDERS[method]))
             assert lost < said + (0.12 if method == "linear_euler" else 0.03), (exponent, steps, lost, said)
             if steps == 0.02:

@@ -2,9 +2,11 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.batching import any_of_batch
 from diffeed.base.smooth import power
 from diffeed.contact.features import laid_out
 from diffeed.contact.kept import Kept
@@ -38,14 +40,14 @@ def _of_nodes(model: Model, kept: Kept) -> Array:
     return jnp.where(kept.own.first | kept.own.tail, 0.5, 1.0) * mass
 
 
-def entered(pairs: Pairs, h: Array) -> Array:
-    """Pairs that begin to touch within a step of length h, as they move now."""
-    return (pairs.weight > 0) & (pairs.gap > 0) & (-pairs.v_n > SLOWEST) & (-pairs.v_n * h > pairs.gap)
-
-
 def closing(pairs: Pairs, h: Array) -> Array:
-    """Pairs that touch now or within a step of length h, and come nearer."""
+    """Pairs that touch now or, as they move now, within a step of length h, and come nearer."""
     return (pairs.weight > 0) & (-pairs.v_n > SLOWEST) & (-pairs.v_n * h > pairs.gap)
+
+
+def entered(pairs: Pairs, h: Array) -> Array:
+    """Those of them that do not touch yet."""
+    return closing(pairs, h) & (pairs.gap > 0)
 
 
 def unfelt(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
@@ -55,10 +57,15 @@ def unfelt(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
     The impulse of its spring on the way to the depth of the end, k d^(p+1)/((p+1) v), over the mass. What its damper misses, it
     takes in the next step.
     """
-    surface, which = kept.surface, entered(pairs, h)
-    speed, depth = jnp.where(which, -pairs.v_n, 1.0), jnp.where(which, -pairs.v_n * h - pairs.gap, 0.0)
-    up = surface.exponent + 1.0
-    return jnp.max(surface.stiffness * power(depth, up) / (up * speed * _of_nodes(model, kept)))
+    which = entered(pairs, h)
+
+    def of_hits() -> Array:
+        speed, depth = jnp.where(which, -pairs.v_n, 1.0), jnp.where(which, -pairs.v_n * h - pairs.gap, 0.0)
+        up = kept.surface.exponent + 1.0
+        return jnp.max(kept.surface.stiffness * power(depth, up) / (up * speed * _of_nodes(model, kept)))
+
+    # Most steps enter nothing.
+    return jax.lax.cond(any_of_batch(jnp.any(which)), of_hits, lambda: jnp.zeros((), pairs.gap.dtype))
 
 
 def taken_away(steps: Array, order: int) -> Array:

@@ -5,6 +5,7 @@ steps of this length take away make the speed that the sheet lacks from then on.
 forgotten within some milliseconds; where not, it is elsewhere than the run says.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -33,11 +34,22 @@ class Lacks(NamedTuple):
     since: Array  # s, when that was found: it fades from there
 
 
-class Steps(NamedTuple):
-    """How a run goes through its hits: in steps of one length by a method of some order, or (else None) by a tolerance."""
+Slower = Callable[[Hits, Array], Array]
+"""With what speed less, mm/s, a run comes out of hits without damping, by the length of the step that enters them (s)."""
 
-    order: int
-    tolerance: Array | None = None  # mm/s that a speed may be wrong by after one step
+
+def in_equal_steps(order: int) -> Slower:
+    """By a method of that order."""
+    return lambda hit, h: taken_away(h / hit.law.seconds, order) * hit.speed
+
+
+def by_tolerance(error: Array) -> Slower:
+    """In steps that may each err by so much, mm/s.
+
+    Implicit Euler errs by (omega h)^2/4 of the speed in a step and by pi/2 omega h of it in a hit: by pi times the root of the
+    speed and of that error. Measured: up to 2 times, by both orders (`tests/test_faults.py`).
+    """
+    return lambda hit, h: jnp.minimum(hit.speed, 2.0 * jnp.sqrt(error * hit.speed))
 
 
 def nothing(model: Model, time: Array) -> Lacks:
@@ -46,12 +58,12 @@ def nothing(model: Model, time: Array) -> Lacks:
 
 
 def judged(
-    model: Model, before: Lacks, pairs: Pairs, kept: Kept, time: Array, h: Array, steps: Steps, hit: Array
+    model: Model, before: Lacks, pairs: Pairs, kept: Kept, time: Array, h: Array, slower: Slower, hit: Array
 ) -> tuple[Lacks, Array]:
     """What sheets lack after a step of length h from `time`, in which a contact is entered if `hit`, and whether that matters."""
 
     def more() -> tuple[Lacks, Array]:
-        impulse = lost_impulse(model, pairs, kept, h, steps)
+        impulse = lost_impulse(model, pairs, kept, h, slower)
         of_features = by_feature(model, jnp.stack([impulse * pairs.nx, impulse * pairs.ny]), kept.pairs)
         lost = product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype))
         lost = lost / total_per_sheet(model.layout, model.bars.mass)[None]
@@ -62,16 +74,8 @@ def judged(
     return jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
 
 
-def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, steps: Steps) -> Array:
+def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, slower: Slower) -> Array:
     """Of each pair, kg mm/s: along its normal, 0 where nothing is entered."""
     which = entered(pairs, h)
     hit = hits(model, pairs, kept, which)
-    return jnp.where(which, hit.law.share * _slower(hit, h, steps) * hit.mass, 0.0)
-
-
-def _slower(hit: Hits, h: Array, steps: Steps) -> Array:
-    """mm/s, of what would come back. Implicit Euler errs by (omega h)^2/4 of the speed in a step and by pi/2 omega h of it in a
-    hit: by pi times the root of the speed and of the error that a step may have. Measured: up to 2, by both orders."""
-    if steps.tolerance is None:
-        return taken_away(h / hit.law.seconds, steps.order) * hit.speed
-    return jnp.minimum(hit.speed, 2.0 * jnp.sqrt(steps.tolerance * hit.speed))
+    return jnp.where(which, hit.law.share * slower(hit, h) * hit.mass, 0.0)

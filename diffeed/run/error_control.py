@@ -23,12 +23,12 @@ from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, sea
 from diffeed.contact.hits import unfelt
 from diffeed.contact.profile import all_times
 from diffeed.faults.causes import LOST_REBOUND, OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
-from diffeed.faults.rebounds import Steps
+from diffeed.faults.rebounds import Slower, by_tolerance
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings.trajectory import Resume
 from diffeed.run.progress import recomputed, searched, taken
-from diffeed.steppers import ESTIMATING, ORDERS
+from diffeed.steppers import ESTIMATING
 from diffeed.steppers.extrapolated_euler import Ways, both_ways
 
 BLOCK = 8
@@ -89,9 +89,9 @@ class _Block(NamedTuple):
     lengths: Array
 
 
-def steps(control: Control, limits: Limits) -> Steps:
-    """As hits are judged by."""
-    return Steps(ORDERS[control.method], limits.tolerance / HORIZON)
+def slower(limits: Limits) -> Slower:
+    """As lost rebounds are judged by."""
+    return by_tolerance(limits.tolerance / HORIZON)
 
 
 def blocks(most_steps: int, frames: int) -> int:
@@ -205,9 +205,7 @@ def _attempts(
         if ways.touching.sheets is not None:
             error = jnp.maximum(error, HORIZON * unfelt(model, ways.touching.sheets, candidates.kept, h))
         after = replace(chosen(ways), time=jnp.where(h >= left, stop, time + h))
-        then = taken(
-            model, scene, before, after, ways.touching, h, candidates.kept, control.observe, steps(control, limits)
-        )
+        then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe, slower(limits))
         # A step that fails is tried again shorter, as long as that is possible and of use.
         good = (error <= limits.tolerance) & ((then.cause == 0) | (then.cause == LOST_REBOUND))
         stuck = _failed(before, h <= _smallest(time), TOO_SMALL)
@@ -261,7 +259,7 @@ def _replay(
 ) -> tuple[Resume, State, Array]:
     """The same run with given steps: what a derivative goes through. Whether it failed is known already, but single precision
     may lose a step here that it found there: that is told."""
-    stepper, courses, judging = ESTIMATING[control.method].step, all_times(model), steps(control, limits)
+    stepper, courses, losing = ESTIMATING[control.method].step, all_times(model), slower(limits)
 
     def one_block(carry: Resume, lengths: Array) -> tuple[Resume, State]:
         def work(carry: Resume) -> Resume:
@@ -273,9 +271,7 @@ def _replay(
                 def go(carry: Resume) -> Resume:
                     length = h + _goes_along(courses, carry.state.time, h, found.state.time)
                     after, touching = stepper(model, carry.state, length, candidates.kept)
-                    return taken(
-                        model, scene, carry, after, touching, length, candidates.kept, control.observe, judging
-                    )
+                    return taken(model, scene, carry, after, touching, length, candidates.kept, control.observe, losing)
 
                 return lax.cond(h > 0, go, lambda c: c, carry), None
 

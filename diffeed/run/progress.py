@@ -28,7 +28,7 @@ from diffeed.faults.causes import (
     OUT_OF_ORDER,
     TOO_MANY_NEAR,
 )
-from diffeed.faults.rebounds import Steps
+from diffeed.faults.rebounds import Slower
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -97,7 +97,7 @@ def taken(
     h: Array,
     kept: Kept,
     observe: tuple[str, ...],
-    steps: Steps,
+    slower: Slower,
     explicit: bool = False,
 ) -> Resume:
     """A step taken: judged and observed. A run that has failed stands still, so that its last good state can be looked at."""
@@ -109,7 +109,7 @@ def taken(
         book = balance.entered(judged, book, met, h)
     lacks = carry.lacks
     if met.sheets is not None:
-        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, steps, hit)
+        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, slower, hit)
         cause = jnp.where((cause == 0) & lost, LOST_REBOUND, cause).astype(jnp.int32)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)

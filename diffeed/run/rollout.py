@@ -25,7 +25,7 @@ from diffeed.faults.causes import (
     UNRESOLVED,
 )
 from diffeed.faults.judge import severity
-from diffeed.faults.rebounds import Steps, lost_impulse
+from diffeed.faults.rebounds import Slower, in_equal_steps, lost_impulse
 from diffeed.input.check_records import checked
 from diffeed.input.check_values import show
 from diffeed.input.packing import bare, jit_of_scene
@@ -172,7 +172,7 @@ def _simulate(
     """Steps of one length."""
     model, scene = build(scene), bare(scene)
     h = jnp.asarray(dt, scene.gravity.dtype)
-    first, steps = begin(model, scene, initial, observe), Steps(ORDERS[method])
+    first, slower = begin(model, scene, initial, observe), in_equal_steps(ORDERS[method])
 
     def one_block(carry: Resume, start: Array) -> Resume:
         with jax.named_scope("search"):
@@ -183,7 +183,7 @@ def _simulate(
             time = first.state.time + (k + 1).astype(h.dtype) * h  # a whole number of steps times dt: no drift
             after, touching = STEPPERS[method](model, carry.state, h, found.kept)
             after = replace(after, time=time)
-            return taken(model, scene, carry, after, touching, h, found.kept, observe, steps, method in EXPLICIT), None
+            return taken(model, scene, carry, after, touching, h, found.kept, observe, slower, method in EXPLICIT), None
 
         last, _ = lax.scan(one_step, carry, start + jnp.arange(counts.steps))
         return searched(model, found, carry, last)
@@ -201,7 +201,7 @@ def _simulate(
     states = jax.tree.map(lambda v: jnp.broadcast_to(v, (counts.frames, *v.shape)), first.state)
     (last, states, _), _ = lax.scan(block_of_frame, (first, states, jnp.asarray(0)), length=blocks)
     gone = jnp.round((last.state.time - first.state.time) / h).astype(int)
-    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe, steps)
+    return _trajectory(model, scene, last, states, h, jnp.where(last.cause == 0, counts.total, gone), observe, slower)
 
 
 @jit_of_scene(static_argnames=("control",))
@@ -215,7 +215,7 @@ def _simulate_to(
     last, states, count = error_control.run(control, limits, model, scene, first)
     mean = (last.state.time - first.state.time) / jnp.maximum(count, 1).astype(limits.frame.dtype)
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first.state, states)
-    return _trajectory(model, scene, last, states, mean, count, control.observe, error_control.steps(control, limits))
+    return _trajectory(model, scene, last, states, mean, count, control.observe, error_control.slower(limits))
 
 
 def _trajectory(
@@ -226,12 +226,12 @@ def _trajectory(
     dt: Array,
     steps: Array,
     observe: tuple[str, ...],
-    stepping: Steps,
+    slower: Slower,
 ) -> Trajectory:
     """Look at the frames."""
     sheets, rollers, guides = lax.map(lambda s: snapshot(model, s), states)
     end = End(model, last.state, last.half)
-    part = _blamed(model, last, dt, stepping) if model.has_bodies else jnp.full((), -1, jnp.int32)
+    part = _blamed(model, last, dt, slower) if model.has_bodies else jnp.full((), -1, jnp.int32)
     return Trajectory(
         time=states.time,
         dt=dt,
@@ -253,7 +253,7 @@ def _trajectory(
     )
 
 
-def _blamed(model: Model, last: Resume, h: Array, steps: Steps) -> Array:
+def _blamed(model: Model, last: Resume, h: Array, slower: Slower) -> Array:
     """Index into part_names of the roller or guide that the cause is about, else of the one that carries the largest
     force at the last good state; -1: nothing touches. What energy came from may have let go: then it is the nearest one."""
     at, _, touching = look(model, last.state)
@@ -266,7 +266,7 @@ def _blamed(model: Model, last: Resume, h: Array, steps: Steps) -> Array:
     pressed = lax.stop_gradient(jnp.where(jnp.isnan(force), jnp.inf, force))
     nearest = (last.cause == FROM_NOWHERE) & (jnp.max(pressed) <= 0)
     pressed = jnp.where(nearest, 1.0 / (1.0 + jnp.maximum(gap, 0.0)), pressed)
-    lost = jnp.sum(lost_impulse(model, touching.sheets, keep_all(model), h, steps), axis=1)
+    lost = jnp.sum(lost_impulse(model, touching.sheets, keep_all(model), h, slower), axis=1)
     told = (last.cause == TOO_DEEP) | (last.cause == UNRESOLVED)
     weight = jnp.where(told, about, jnp.where((last.cause == ACROSS) | (last.cause == BEHIND), astray, pressed))
     weight = jnp.where((last.cause == LOST_REBOUND) & (jnp.max(lost) > 0), lost, weight)

@@ -30,6 +30,7 @@ STEPPERS: dict[str, Stepper] = {
 }
 EXPLICIT = ("runge_kutta",)
 ORDERS = {"linear_euler": 1, "extrapolated_euler": 2, "midpoint": 2, "runge_kutta": 4}
+"""With what power of their length steps take a rebound away."""
 ESTIMATING = {
     "linear_euler": Estimated(lambda ways: ways.halves, extrapolated_euler.two_halves),
     "extrapolated_euler": Estimated(Ways.best, extrapolated_euler.step),

@@ -62,7 +62,7 @@ def step(model: Model, state: State, h: Array, kept: Kept) -> tuple[State, Conta
     if touching.sheets is None and touching.rollers is None:
         return after, touching
     part = astray(model, state, middle, before, half, UNNOTICED, PLAIN)
-    if touching.sheets is not None:
+    if touching.sheets is not None and kept.surface.damping is not None:
         part = jnp.maximum(part, _thrown_back(model, start, after, touching.sheets, h, kept))
     robust = jax.lax.cond(any_of_batch(part > 0), lambda: linear_euler.step(model, start, h, kept)[0], lambda: after)
     return mixed(part, after, robust), touching
