@@ -1,13 +1,16 @@
 """What a contact throws back, by its law alone and in the simulator; and how much of it steps of any length take away."""
 
 import jax
+import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import diffeed
-from diffeed.contact.hits import taken_away
+from diffeed.contact.hits import Hits, taken_away
+from diffeed.faults.rebounds import by_tolerance
 from diffeed.pair.rebound import rebound
-from diffeed.steppers import ORDERS
+from diffeed.run.error_control import HORIZON
+from diffeed.steppers import ESTIMATING, ORDERS
 
 STIFFNESS, MASS, SPEED = 2e5, 1e-4, 90.0
 
@@ -99,3 +102,23 @@ def test_steps_take_away_no_more_of_a_rebound_than_is_said(method):
             assert lost < said + (0.12 if method == "linear_euler" else 0.03), (exponent, steps, lost, said)
             if steps == 0.02:
                 assert lost == pytest.approx(said, abs=0.03)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ESTIMATING)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
+def test_steps_by_a_tolerance_take_away_no_more_than_is_said(method, tolerance):
+    """Wherever in a step the bar arrives, on springs and cones."""
+    for exponent in (1.0, 2.0):
+        made = diffeed.stack([dropped(0.01 + 0.003 * k, exponent=exponent) for k in range(8)])
+        runs = jax.vmap(lambda s: diffeed.simulate(s, duration=4e-3, tolerance=tolerance, frames=2, method=method))(
+            made
+        )
+        assert bool(runs.ok.all())
+        lost = SPEED - np.asarray(runs.states.vy[:, -1, 0])
+        law = rebound(STIFFNESS, exponent, None, None, MASS, SPEED)
+        said = float(by_tolerance(np.asarray(tolerance / HORIZON))(Hits(MASS, SPEED, law), np.nan))
+        assert said < SPEED
+        assert lost.max() < said
+        if method == "linear_euler":
+            assert lost.mean() > said / 4.0

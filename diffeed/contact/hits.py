@@ -12,7 +12,7 @@ from diffeed.contact.features import laid_out
 from diffeed.contact.kept import Kept
 from diffeed.contact.sweep import Pairs
 from diffeed.model.arrays import Model
-from diffeed.pair.rebound import Rebound, rebound
+from diffeed.pair.rebound import TOUCHED, Rebound, rebound
 
 SLOWEST = 1e-3
 """mm/s: what comes nearer more slowly hits nothing."""
@@ -50,21 +50,25 @@ def entered(pairs: Pairs, h: Array) -> Array:
     return closing(pairs, h) & (pairs.gap > 0)
 
 
-def unfelt(model: Model, pairs: Pairs, kept: Kept, h: Array) -> Array:
-    """mm/s, the most of any pair: by what a contact that is entered in a step of length h should have slowed by its end, and has
-    not, since nothing touches where the step begins. What it would have stored comes out again as speed.
+def missed(model: Model, pairs: Pairs, kept: Kept, h: Array, harmless: Array) -> Array:
+    """mm/s, the most of any pair: by what a step of length h errs in a hit, which steps of half the length err in alike.
 
-    The impulse of its spring on the way to the depth of the end, k d^(p+1)/((p+1) v), over the mass. What its damper misses, it
-    takes in the next step.
+    Where a contact is entered, nothing touches at the start: its spring should have slowed the sheet by v (d/D)^(p+1)/2 on the
+    way to the depth d, of D where the hit turns. Where it touches, an implicit step far longer than the hit stops the sheet:
+    the whole rebound is lost. A shorter one errs by (omega h)^2/4 of the speed. What comes nearer by less than `harmless` mm/s
+    is not looked at there.
     """
-    which = entered(pairs, h)
+    which = closing(pairs, h) & ((pairs.gap > 0) | (-pairs.v_n > harmless))
 
     def of_hits() -> Array:
-        speed, depth = jnp.where(which, -pairs.v_n, 1.0), jnp.where(which, -pairs.v_n * h - pairs.gap, 0.0)
-        up = kept.surface.exponent + 1.0
-        return jnp.max(kept.surface.stiffness * power(depth, up) / (up * speed * _of_nodes(model, kept)))
+        hit = hits(model, pairs, kept, which)
+        ahead = TOUCHED * (h - jnp.maximum(pairs.gap, 0.0) / hit.speed) / hit.law.seconds
+        ahead = jnp.where(which, ahead, 0.0)
+        unfelt = jnp.where(pairs.gap > 0, 0.5 * power(ahead, kept.surface.exponent + 1.0), 0.0)
+        lost = hit.law.share * (1.0 - 1.0 / (1.0 + 0.25 * ahead * ahead))
+        return jnp.max(hit.speed * jnp.maximum(unfelt, lost))
 
-    # Most steps enter nothing.
+    # Most steps hit nothing.
     return jax.lax.cond(any_of_batch(jnp.any(which)), of_hits, lambda: jnp.zeros((), pairs.gap.dtype))
 
 

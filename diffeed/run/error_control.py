@@ -20,7 +20,7 @@ from diffeed.chain.kinematics import node_velocities, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import spins
 from diffeed.contact.candidates import Candidates, for_as_long_as_they_last, search
-from diffeed.contact.hits import unfelt
+from diffeed.contact.hits import missed
 from diffeed.contact.profile import all_times
 from diffeed.faults.causes import LOST_REBOUND, OUT_OF_STEPS, TOO_MANY_NEAR, TOO_SMALL
 from diffeed.faults.rebounds import Slower, by_tolerance
@@ -203,7 +203,8 @@ def _attempts(
         ways = both_ways(model, before.state, h, candidates.kept)
         error = _error(model, ways)
         if ways.touching.sheets is not None:
-            error = jnp.maximum(error, HORIZON * unfelt(model, ways.touching.sheets, candidates.kept, h))
+            harmless = limits.tolerance / HORIZON
+            error = jnp.maximum(error, HORIZON * missed(model, ways.touching.sheets, candidates.kept, h, harmless))
         after = replace(chosen(ways), time=jnp.where(h >= left, stop, time + h))
         then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe, slower(limits))
         # A step that fails is tried again shorter, as long as that is possible and of use.
