@@ -199,7 +199,7 @@ def _thrown_back(contact: Contact, scene: Scene) -> Rebound | None:
         return None
     stiffness, exponent, damping, damping_exponent = (v for v in law if v is not None)
     damping = damping if contact.damped else 0.0
-    thrown = rebound(NEWTON * stiffness, exponent, NEWTON * damping, damping_exponent, min(masses), HIT)
+    thrown = rebound(NEWTON * stiffness, exponent, NEWTON * damping, damping_exponent, min(masses), HIT, xp=np)
     return thrown if thrown.share > LIVELY else None
 
 

@@ -23,15 +23,17 @@ class Rebound(NamedTuple):
     seconds: Array
 
 
-def rebound(stiffness: Any, exponent: Any, damping: Any, damping_exponent: Any, mass: Any, speed: Any) -> Rebound:
+def rebound(
+    stiffness: Any, exponent: Any, damping: Any, damping_exponent: Any, mass: Any, speed: Any, xp: Any = jnp
+) -> Rebound:
     """Of `mass` (kg) that hits a contact at `speed` (mm/s, > 0). Stiffness in kg/(s^2 mm^(exponent - 1)), damping in
-    kg/(s mm^damping_exponent), or None where nothing is damped. Any shapes that fit."""
+    kg/(s mm^damping_exponent), or None where nothing is damped. Any shapes that fit. `xp`: numpy where compiling does not pay."""
     squared = speed * speed * mass
-    log_depth = jnp.log(0.5 * (exponent + 1.0) * squared / stiffness) / (exponent + 1.0)
-    seconds = TOUCHED * jnp.exp(log_depth) / speed
+    log_depth = xp.log(0.5 * (exponent + 1.0) * squared / stiffness) / (exponent + 1.0)
+    seconds = TOUCHED * xp.exp(log_depth) / speed
     if damping is None:
-        return Rebound(jnp.ones_like(seconds), seconds)
-    ratio = 2.0 * damping * speed * jnp.exp((damping_exponent + 1.0) * log_depth) / ((exponent + 1.0) * squared)
+        return Rebound(xp.ones_like(seconds), seconds)
+    ratio = 2.0 * damping * speed * xp.exp((damping_exponent + 1.0) * log_depth) / ((exponent + 1.0) * squared)
     x = (damping_exponent + 1.0) / (exponent + 1.0)
-    lost = ratio / (x * jnp.sqrt(1.0 + 1.25 * x))  # the beta function within 1 %
+    lost = ratio / (x * xp.sqrt(1.0 + 1.25 * x))  # the beta function within 1 %
     return Rebound(1.0 / (1.0 + 0.5 * lost) ** 2, seconds)
