@@ -21,7 +21,7 @@ TURNS = 151
 
 def without_checks():
     """The library with nothing looked for in a step or a block; the search's own completeness stays."""
-    none = (jnp.zeros((), jnp.int32), jnp.zeros(()), jnp.zeros((), bool))
+    none = (jnp.zeros((), jnp.int32), jnp.zeros(()))
     return (
         mock.patch.object(judge, "of_step", return_value=none),
         mock.patch.object(balance, "is_kept", return_value=False),

@@ -21,7 +21,7 @@ RANKS = """
     chain: state system sums kinematics dense elimination solve
     contact: features profile bodies kept near sweep hits gained roller_pairs crossing stick watched candidates
     forces: terms sheet loads clamps contacts rollers assemble landing energy
-    faults: causes balance overshoot rebounds judge
+    faults: causes tally balance overshoot rebounds judge
     steppers: advance astray linear_euler extrapolated_euler runge_kutta midpoint
     readings: trajectory snapshot spans observe frames margin verdict agreement
     statics: coordinates relax rest vibrations

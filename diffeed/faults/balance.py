@@ -14,8 +14,7 @@ from jax import Array
 
 from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State
-from diffeed.contact.sweep import Pairs
-from diffeed.forces.contacts import Contacts
+from diffeed.faults.tally import Tally
 from diffeed.forces.energy import load_power, sheet_energies
 from diffeed.model.arrays import Model
 
@@ -58,14 +57,12 @@ def is_kept(model: Model) -> bool:
     return all(hold.path is None for hold in model.holds)
 
 
-def entered(model: Model, book: Book, touching: Contacts, h: Array) -> Book:
-    """The book after a step of length h from where `touching` was seen."""
-    old = Sums(*book.sums)
-    pressed, power = (jnp.zeros(()), jnp.zeros(())) if touching.sheets is None else _contacts(touching.sheets)
-    power = power + load_power(model, touching.at)
+def entered(model: Model, book: Book, tally: Tally, at: Pose, h: Array) -> Book:
+    """The book after a step of length h that begins with bars `at` such a pose and with what is tallied of their contacts."""
+    old, power = Sums(*book.sums), tally.power + load_power(model, at)
     sums = Sums(
         begun=jnp.ones_like(old.begun),
-        pressed=jnp.where(old.begun > 0, old.pressed, pressed),
+        pressed=jnp.where(old.begun > 0, old.pressed, tally.pressed),
         work=old.work + h * power,
         through=old.through + h * jnp.abs(power),
     )
@@ -85,12 +82,3 @@ def judged(model: Model, book: Book, state: State, at: Pose, pace: Array) -> tup
     unseen = unseen + ROUNDING * jnp.finfo(more.dtype).eps * (jnp.abs(height) + bending + sums.pressed)
     gained = more - sums.work > SHARE * (peak + sums.through) + unseen
     return book._replace(peak=peak, pace=pace), gained
-
-
-def _contacts(pairs: Pairs) -> tuple[Array, Array]:
-    """A bound on the energy of the contact springs (force times depth), and the power of the bodies' surfaces on the sheets."""
-    touch = pairs.touch
-    stored = touch.force * jnp.maximum(-pairs.gap, 0.0)
-    power = touch.force * pairs.u_n - touch.friction * pairs.u_t
-    sums = jnp.sum(jnp.stack([stored.ravel(), power.ravel()]), axis=1)
-    return sums[0], sums[1]

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from diffeed.chain.state import State
-from diffeed.contact.hits import entered
 from diffeed.contact.kept import Kept, allowed_in_circles
 from diffeed.contact.roller_pairs import RollerPairs
-from diffeed.contact.sweep import Pairs
 from diffeed.faults.causes import FROZEN, LEAPT, NOT_FINITE, SINGULAR, TOO_DEEP, TOO_FAST, TURNED_ABOUT, UNRESOLVED
 from diffeed.faults.overshoot import turns_about
+from diffeed.faults.tally import Tally, depth_and_approach
 from diffeed.forces.contacts import Contacts
 from diffeed.model.arrays import Model
 
@@ -26,19 +25,23 @@ STILL = 1.0
 
 
 def of_step(
-    model: Model, before: State, after: State, touching: Contacts, kept: Kept, h: Array, explicit: bool = False
-) -> tuple[Array, Array, Array]:
-    """Cause of failure of a step, 0 for none; its error by the order one (mm): half the step at the speed gained in it; and
-    whether a contact is entered in it.
+    model: Model,
+    before: State,
+    after: State,
+    touching: Contacts,
+    tally: Tally,
+    kept: Kept,
+    h: Array,
+    explicit: bool = False,
+) -> tuple[Array, Array]:
+    """Cause of failure of a step, 0 for none, and its error by the order one (mm): half the step at the speed gained in it.
 
-    `touching` are the contacts of the state before, as the steppers see them.
+    `touching` are the contacts of the state before, as the steppers see them, and `tally` what is summed of them.
     """
     then, now = (_speeds(model, state) for state in (before, after))
     fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
     leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_idler(model, after))
-    cause, hit = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-    if touching.sheets is not None:
-        cause, hit = _of_pairs(touching.sheets, kept, h)
+    cause = jnp.where(tally.deep > 0, TOO_DEEP, jnp.where(tally.unresolved > 0, UNRESOLVED, 0))
     if touching.rollers is not None:
         cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
     if explicit:
@@ -47,7 +50,7 @@ def of_step(
         cause = jnp.where((cause == 0) & _is_frozen(before, after, h), FROZEN, cause)
     cause = jnp.where((cause == 0) & (leap > LEAP), LEAPT, cause)
     cause = jnp.where(fastest > FASTEST, TOO_FAST, cause)
-    return jnp.where(jnp.isfinite(fastest), cause, _blown(model, touching)).astype(jnp.int32), leap, hit
+    return jnp.where(jnp.isfinite(fastest), cause, _blown(model, touching)).astype(jnp.int32), leap
 
 
 def _blown(model: Model, touching: Contacts) -> Array:
@@ -65,20 +68,6 @@ def _fastest_idler(model: Model, state: State) -> Array:
     """mm/s, of the surfaces of rollers that turn freely."""
     rollers = model.rollers
     return jnp.max(jnp.abs(state.spin * rollers.radius[rollers.free]), initial=0.0)
-
-
-def _of_pairs(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
-    depth, closing = _depth_and_approach(pairs, kept, h)
-    deep = (pairs.touch.force > 0) & (depth > kept.allowed)
-    unresolved = (pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap)
-    of_each = jnp.where(deep, 3, jnp.where(unresolved, 2, jnp.where(entered(pairs, h), 1, 0)))
-    worst = jnp.max(of_each.astype(jnp.int32))  # one sweep: every step pays for it
-    return jnp.where(worst == 3, TOO_DEEP, jnp.where(worst == 2, UNRESOLVED, 0)).astype(jnp.int32), worst > 0
-
-
-def _depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
-    """How deep the axis lies in the body, and how much nearer it comes in a step (mm)."""
-    return -(pairs.gap + kept.own.half_thickness), -pairs.v_n * h
 
 
 def _is_frozen(before: State, after: State, h: Array) -> Array:
@@ -99,7 +88,7 @@ def _depth_of_rollers(model: Model, pairs: RollerPairs) -> Array:
 def severity(model: Model, touching: Contacts, kept: Kept, h: Array) -> Array:
     """(bodies,) by how much each is entered or approached, in what it allows: whom to blame for a failed step."""
     assert touching.sheets is not None
-    depth, closing = _depth_and_approach(touching.sheets, kept, h)
+    depth, closing = depth_and_approach(touching.sheets, kept, h)
     here = touching.sheets.weight > 0
     deep = jnp.where(here & (touching.sheets.touch.force > 0), depth, -jnp.inf)
     near = jnp.where(here & (closing > touching.sheets.gap), closing, -jnp.inf)

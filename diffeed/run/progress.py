@@ -29,6 +29,7 @@ from diffeed.faults.causes import (
     TOO_MANY_NEAR,
 )
 from diffeed.faults.rebounds import Slower
+from diffeed.faults.tally import nothing, tallied
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -104,12 +105,13 @@ def taken(
     before = carry.state
     # Judging has no derivative: nothing of it is carried on by one.
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
-    (cause, leap, hit), book = judge.of_step(judged, then, now, met, near, h, explicit), carry.book
+    tally = tallied(met.sheets, near, h) if met.sheets is not None else nothing()
+    (cause, leap), book = judge.of_step(judged, then, now, met, tally, near, h, explicit), carry.book
     if balance.is_kept(model):
-        book = balance.entered(judged, book, met, h)
+        book = balance.entered(judged, book, tally, met.at, h)
     lacks = carry.lacks
     if met.sheets is not None:
-        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, slower, hit)
+        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, slower, tally.entered > 0)
         cause = jnp.where((cause == 0) & lost, LOST_REBOUND, cause).astype(jnp.int32)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)

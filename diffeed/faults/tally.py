@@ -1,0 +1,44 @@
+"""What the checks of a step ask of its pairs, summed at once: every sweep over them is paid for by every step."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from diffeed.contact.hits import entered
+from diffeed.contact.kept import Kept
+from diffeed.contact.sweep import Pairs
+
+
+class Tally(NamedTuple):
+    """Of all pairs of a sheet and a body."""
+
+    deep: Array  # how many are entered more deeply than allowed
+    unresolved: Array  # how many come so much nearer in the step that it does not resolve them
+    entered: Array  # how many do not touch yet and will within the step
+    pressed: Array  # kg mm2/s2, a bound on the energy of the contact springs: force times depth
+    power: Array  # kg mm2/s3, of the bodies' surfaces on the sheets
+
+
+def nothing() -> Tally:
+    """Where there are no pairs."""
+    return Tally(*[jnp.zeros(())] * len(Tally._fields))
+
+
+def tallied(pairs: Pairs, kept: Kept, h: Array) -> Tally:
+    """Of a step of length h that begins with these pairs."""
+    touch, (depth, closing) = pairs.touch, depth_and_approach(pairs, kept, h)
+    of_each = Tally(
+        deep=(touch.force > 0) & (depth > kept.allowed),
+        unresolved=(pairs.weight > 0) & (closing > kept.approach) & (closing > pairs.gap),
+        entered=entered(pairs, h),
+        pressed=touch.force * jnp.maximum(-pairs.gap, 0.0),
+        power=touch.force * pairs.u_n - touch.friction * pairs.u_t,
+    )
+    rows = [v.astype(pairs.gap.dtype).ravel() for v in of_each]
+    return Tally(*jnp.sum(jnp.stack(rows), axis=1))
+
+
+def depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:
+    """How deep the axis lies in the body, and how much nearer it comes in a step (mm)."""
+    return -(pairs.gap + kept.own.half_thickness), -pairs.v_n * h
