@@ -39,8 +39,10 @@ def of_step(
     `touching` are the contacts of the state before, as the steppers see them, and `tally` what is summed of them.
     """
     then, now = (_speeds(model, state) for state in (before, after))
-    fastest, change = jnp.max(jnp.abs(jnp.stack([now, now - then])), axis=1)  # one sweep: every step pays for it
-    leap, fastest = 0.5 * h * change, jnp.maximum(fastest, _fastest_idler(model, after))
+    idlers = after.spin * model.rollers.radius[model.rollers.free]  # mm/s, of their surfaces
+    rows = [jnp.concatenate([now, idlers]), jnp.concatenate([now - then, jnp.zeros_like(idlers)])]
+    fastest, change = jnp.max(jnp.abs(jnp.stack(rows)), axis=1)  # one sweep: every step pays for it
+    leap = 0.5 * h * change
     cause = jnp.where(tally.deep > 0, TOO_DEEP, jnp.where(tally.unresolved > 0, UNRESOLVED, 0))
     if touching.rollers is not None:
         cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
@@ -62,12 +64,6 @@ def _blown(model: Model, touching: Contacts) -> Array:
 
 def _speeds(model: Model, state: State) -> Array:
     return jnp.concatenate([state.vx, state.vy, state.rate * jnp.max(model.bars.half_length), state.travel_rate])
-
-
-def _fastest_idler(model: Model, state: State) -> Array:
-    """mm/s, of the surfaces of rollers that turn freely."""
-    rollers = model.rollers
-    return jnp.max(jnp.abs(state.spin * rollers.radius[rollers.free]), initial=0.0)
 
 
 def _is_frozen(before: State, after: State, h: Array) -> Array:

@@ -28,9 +28,11 @@ NOTICED = 2.0
 
 
 class Lacks(NamedTuple):
-    """What sheets lack by rebounds that steps took away."""
+    """What sheets lack by rebounds that steps took away; each (sheets,), in one array from step to step, for every array is a
+    call in every step."""
 
-    speed: Array  # (2, sheets) mm/s, in the mean of a sheet
+    x: Array  # mm/s, in the mean of a sheet
+    y: Array
     since: Array  # s, when that was found: it fades from there
 
 
@@ -52,26 +54,31 @@ def by_tolerance(error: Array) -> Slower:
     return lambda hit, h: jnp.minimum(hit.speed, 2.0 * jnp.sqrt(error * hit.speed))
 
 
-def nothing(model: Model, time: Array) -> Lacks:
-    """Where a run begins."""
-    return Lacks(jnp.zeros((2, len(model.layout.names)), time.dtype), time)
+def nothing(model: Model, time: Array) -> Array:
+    """`Lacks` where a run begins, (3, sheets)."""
+    none = jnp.zeros((len(model.layout.names),), time.dtype)
+    return jnp.stack(Lacks(none, none, none + time))
 
 
 def judged(
-    model: Model, before: Lacks, pairs: Pairs, kept: Kept, time: Array, h: Array, slower: Slower, hit: Array
-) -> tuple[Lacks, Array]:
-    """What sheets lack after a step of length h from `time`, in which a contact is entered if `hit`, and whether that matters."""
+    model: Model, before: Array, pairs: Pairs, kept: Kept, time: Array, h: Array, slower: Slower, hit: Array
+) -> tuple[Array, Array]:
+    """`Lacks`, (3, sheets), after a step of length h from `time`, in which a contact is entered if `hit`, and whether that
+    matters."""
 
-    def more() -> tuple[Lacks, Array]:
+    def more() -> Array:
         impulse = lost_impulse(model, pairs, kept, h, slower)
         of_features = by_feature(model, jnp.stack([impulse * pairs.nx, impulse * pairs.ny]), kept.pairs)
         lost = product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype))
         lost = lost / total_per_sheet(model.layout, model.bars.mass)[None]
-        speed = before.speed * jnp.exp((before.since - time) / FORGOTTEN) + lost
-        return Lacks(speed, time), jnp.any(jnp.sum(speed * speed, axis=0) > (NOTICED / FORGOTTEN) ** 2)
+        old = Lacks(*before)
+        left = jnp.exp((old.since - time) / FORGOTTEN)
+        return jnp.stack(Lacks(left * old.x + lost[0], left * old.y + lost[1], jnp.full_like(left, time)))
 
     # Most steps enter nothing.
-    return jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
+    after = jax.lax.cond(any_of_batch(hit), more, lambda: before)
+    now = Lacks(*after)
+    return after, jnp.any(now.x * now.x + now.y * now.y > (NOTICED / FORGOTTEN) ** 2)
 
 
 def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, slower: Slower) -> Array:
