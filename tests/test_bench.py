@@ -119,10 +119,7 @@ def test_the_reference_differs_from_itself_by_nothing(swept):
 @pytest.mark.long
 def test_half_the_step_halves_the_difference_to_a_fine_run(tiny):
     """Order one on a scene without impacts: against a run so fine that its own error does not count."""
-    runs = [
-        fronts.run_setting(tiny, Setting("step", "linear_euler", dt), frames=5, fewest=1).result
-        for dt in (2e-4, 1e-4, 2e-6)
-    ]
+    runs = [fronts.run_setting(tiny, Setting("step", "linear_euler", dt), frames=5).result for dt in (2e-4, 1e-4, 2e-6)]
     coarse, fine, exact = (r for r in runs if r is not None)
     first, second = (differences(r, exact)["lead"] for r in (coarse, fine))
     assert first is not None
@@ -173,9 +170,28 @@ def test_a_setting_that_cannot_run_is_a_row_that_says_so(swept):
 
 def test_a_run_that_fails_says_when_and_why(tiny):
     fast = diffeed.put(tiny, "sheets.strip.speed", 1e9)
-    row = fronts.run_setting(fast, Setting("step", "linear_euler", 1e-3), frames=3, fewest=1).row
+    row = fronts.run_setting(fast, Setting("step", "linear_euler", 1e-3), frames=3).row
     assert row.status == "failed"
     assert row.reason.startswith("at 0.0")
+
+
+def test_all_are_timed_in_turns_and_short_ones_more_often():
+    order, times = [], {"short": [0.5, 0.1, 0.3, 0.2], "long": [3.0, 9.0, 6.0], "failed": [1.0]}
+
+    def finished(name: str) -> fronts.Finished:
+        left = iter(times[name][1:])
+
+        def again() -> float:
+            order.append(name)
+            return next(left)
+
+        return fronts.Finished(row_of(None, times[name][0]), None, None if name == "failed" else again)
+
+    short, failed, long = (f.row for f in fronts.in_turns([finished(n) for n in ("short", "failed", "long")], fewest=3))
+    assert order == ["short", "long", "short", "long", "short"]
+    assert (short.run_seconds, short.repeats) == (0.25, 4)
+    assert (long.run_seconds, long.repeats) == (6.0, 3)
+    assert (failed.run_seconds, failed.repeats) == (1.0, row_of(None, 1.0).repeats)
 
 
 @pytest.mark.long

@@ -1,6 +1,7 @@
 """A scene under many settings: cost and errors of each, against a converged run of the same scene."""
 
 import hashlib
+import statistics
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +13,7 @@ from diffeed.bench.machine import machine
 from diffeed.bench.outcome import OBSERVE, Outcome, differences, outcome
 from diffeed.bench.records import Front, Reference, Row
 from diffeed.bench.settings import STEPS, Setting, knobs, power, sweep
-from diffeed.bench.timing import precision, timed
+from diffeed.bench.timing import enough, precision, timed
 from diffeed.input.parts import Scene, SinglePrecision, normalise
 from diffeed.input.paths import assign
 from diffeed.input.scene_file import scene_text
@@ -34,6 +35,8 @@ class Finished(NamedTuple):
 
     row: Row
     result: Outcome | None
+    again: Callable[[], float] | None = None
+    """Runs it once more, s."""
 
 
 def front(
@@ -55,11 +58,13 @@ def front(
     scene, steps, host = normalise(scene), tuple(steps), machine()
     asked = [*sweep(steps), *knobs(scene, steps)] if settings is None else list(settings)
     frames = frames or frames_for(scene.duration, max(s.dt for s in asked))
-    total = len(asked) + 2
+    total = len(asked) + 3
     finished = []
     for done, setting in enumerate(asked):
         show(done, total, setting.name)
-        finished.append(run_setting(scene, setting, frames, fewest))
+        finished.append(run_setting(scene, setting, frames))
+    show(len(asked), total, "timing, all in turns")
+    finished = in_turns(finished, fewest)
     smallest = min(s.dt for s in asked)
     fine, why = _reference(scene, finished, reference_step or smallest / FINER, frames, show, total)
     show(total, total, "done")
@@ -85,17 +90,17 @@ def scene_key(scene: Scene) -> str:
     return hashlib.sha256(scene_text(scene).encode()).hexdigest()[:16]
 
 
-def run_setting(scene: Scene, setting: Setting, frames: int, fewest: int = 3) -> Finished:
-    """Check, settle, compile and run; what goes wrong is told in the row."""
+def run_setting(scene: Scene, setting: Setting, frames: int) -> Finished:
+    """Check, settle, compile and run once; what goes wrong is told in the row."""
     try:
         with precision(setting.precision), warnings.catch_warnings():
             warnings.simplefilter("ignore", SinglePrecision)
-            return _run(normalise(assign(scene, setting.changes)), setting, frames, fewest)
+            return _run(normalise(assign(scene, setting.changes)), setting, frames)
     except Exception as error:  # one setting that the machine or the compiler cannot bear must not end the others
         return Finished(Row(setting, "failed", _one_line(error)), None)
 
 
-def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
+def _run(scene: Scene, setting: Setting, frames: int) -> Finished:
     problems = check(scene, setting.dt, setting.method, setting.tolerance)
     if problems:
         return Finished(Row(setting, "not run", "; ".join(problems)), None)
@@ -104,7 +109,7 @@ def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
     def program(scene: Scene, state: Any) -> Any:
         return simulate(scene, frames=frames, initial=state, observe=OBSERVE, **setting.options())
 
-    made = timed(program, scene, state, fewest=fewest)
+    made = timed(program, scene, state, fewest=1)
     row = Row(
         setting,
         "ok" if bool(made.value.ok) else "failed",
@@ -114,7 +119,25 @@ def _run(scene: Scene, setting: Setting, frames: int, fewest: int) -> Finished:
         made.repeats,
         int(made.value.steps) if made.value.ok else None,  # the time is that of all steps, of which it took a part
     )
-    return Finished(row, outcome(scene, made.value) if row.ok else None)
+    if not row.ok:
+        return Finished(row, None)
+
+    def again() -> float:
+        with precision(setting.precision):
+            return made.again()
+
+    return Finished(row, outcome(scene, made.value), again)
+
+
+def in_turns(finished: list[Finished], fewest: int) -> list[Finished]:
+    """The same, each run until that is `enough`: in turns, so that what else the computer does falls on all alike."""
+    runs = {k: f.again for k, f in enumerate(finished) if f.again is not None}
+    seconds = {k: [finished[k].row.run_seconds or 0.0] for k in runs}
+    while waiting := [k for k in runs if not enough(seconds[k], fewest)]:
+        for k in waiting:
+            seconds[k].append(runs[k]())
+    rows = {k: replace(finished[k].row, run_seconds=statistics.median(s), repeats=len(s)) for k, s in seconds.items()}
+    return [f._replace(row=rows.get(k, f.row)) for k, f in enumerate(finished)]
 
 
 def compared(finished: Finished, reference: Outcome | None) -> Row:
@@ -138,7 +161,7 @@ def _reference(
         runs = []
         for k, step in enumerate((2.0 * dt, dt)):
             show(total - 2 + k, total, f"reference, {method}, {power(step)} s")
-            runs.append(run_setting(scene, Setting("step", method, step), frames, fewest=1))
+            runs.append(run_setting(scene, Setting("step", method, step), frames))
         coarse, fine = runs
         if coarse.result is None or fine.result is None:
             broken = coarse if coarse.result is None else fine

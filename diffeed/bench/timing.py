@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -21,22 +21,34 @@ class Timed(NamedTuple):
     value: Any
     trace: float
     temporary: int | None  # bytes that it works in; None: the device does not tell
+    again: Callable[[], float]  # runs it once more, and says how long that took
 
 
 def timed(function: Callable[..., Any], *arguments: Any, fewest: int = 3) -> Timed:
-    """Compile a function for its arguments, then run it `fewest` times or more: many times if it is short."""
+    """Compile a function for its arguments, then run it until that is `enough`."""
     begun = time.perf_counter()
     lowered = jax.jit(function).lower(*arguments)
     trace_seconds = time.perf_counter() - begun
     compiled = lowered.compile()
     compile_seconds = time.perf_counter() - begun
-    value, seconds = None, []
-    while len(seconds) < fewest or (fewest > 1 and len(seconds) < MOST and sum(seconds) < ENOUGH):
+
+    def run() -> tuple[Any, float]:
         begun = time.perf_counter()
         value = jax.block_until_ready(compiled(*arguments))
-        seconds.append(time.perf_counter() - begun)
+        return value, time.perf_counter() - begun
+
+    value, first = run()
+    seconds = [first]
+    while not enough(seconds, fewest):
+        seconds.append(run()[1])
     temporary = getattr(compiled.memory_analysis(), "temp_size_in_bytes", None)
-    return Timed(compile_seconds, statistics.median(seconds), len(seconds), value, trace_seconds, temporary)
+    median = statistics.median(seconds)
+    return Timed(compile_seconds, median, len(seconds), value, trace_seconds, temporary, lambda: run()[1])
+
+
+def enough(seconds: Sequence[float], fewest: int) -> bool:
+    """Whether a program was run often enough: `fewest` times, if more than once then many times if it is short."""
+    return len(seconds) >= fewest and (fewest == 1 or len(seconds) >= MOST or sum(seconds) >= ENOUGH)
 
 
 @contextmanager
