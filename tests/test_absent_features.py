@@ -48,6 +48,7 @@ def test_absent_is_zero_and_costs_less(name):
     assert equations(absent) < equations(zero) == equations(SCENE)
 
 
+@pytest.mark.long
 def test_one_slick_set_among_others():
     """Only the parts of that set lose their friction."""
     slick = replace(SCENE.contacts["default"], friction_law="none")

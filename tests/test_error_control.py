@@ -247,6 +247,7 @@ def _nip_driven_by(profile: diffeed.Profile, duration: float) -> diffeed.Scene:
                          contacts={"default": diffeed.Contact(stick_speed=0.5)}, initial="settled")  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
 def test_a_short_pulse_of_a_drive_is_not_stepped_over(tolerance):
     """0.6 ms at up to 1 m/s after 0.1 s at rest, where steps have grown to their longest: 1000 * 0.0006 / 2 = 0.3 mm."""

@@ -72,6 +72,7 @@ def test_sixty_seconds_on_a_drum(method):
     assert energy[-50:].mean() == pytest.approx(energy[25:75].mean(), rel=0.02)
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_time():
     """Of the compiled run with the same frames: what it works in, one second against a minute, which is 118 000 steps more."""
 

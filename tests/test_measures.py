@@ -279,6 +279,7 @@ def test_two_drives_against_each_other_are_told():
     assert "backwards" not in measures.verdict(alike, diffeed.simulate(alike, dt=2e-4, frames=51)).reason
 
 
+@pytest.mark.long
 def test_a_sensor_that_looks_the_wrong_way_is_told():
     back = nip(sensors=nip().sensors | {"exit": Sensor(position=(-15.0, 0.0), direction=(-1.0, 0.0))})
     run = diffeed.simulate(back, dt=2e-4, frames=51)

@@ -66,6 +66,7 @@ def test_adam_finds_the_preload_of_a_wanted_force():
     assert "promised" not in told(result)
 
 
+@pytest.mark.long
 def test_a_point_without_a_value_never_wins():
     good = score(problem_of(), np.array([0.5]))
     assert good.verdicts[0].status == "passed"
@@ -287,6 +288,7 @@ def test_a_folder_is_not_overwritten_and_belongs_to_its_study(tmp_path):
     assert [json.loads(x)["iteration"] for x in (tmp_path / "history.jsonl").read_text().splitlines()] == [1, 2, 3]
 
 
+@pytest.mark.long
 def test_a_search_in_its_last_stage_goes_on_with_more_iterations(tmp_path):
     """To what it would have found with them from the start. Earlier stages must stay as they were."""
 

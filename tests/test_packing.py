@@ -32,6 +32,7 @@ def test_a_program_does_not_grow_with_the_number_of_parts(of):
     assert instructions(_simulate, many) > instructions(_simulate, few) + 240  # traced, every number is by itself
 
 
+@pytest.mark.long
 def test_what_is_traced_stays_beside_the_tables():
     """In a function of one number the others are known, and go in as tables."""
     scene = normalise(diffeed.load_scene("film_feeder"))

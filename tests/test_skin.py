@@ -261,6 +261,7 @@ def test_sheet_and_roller_that_move_together_feel_nothing():
     assert np.sum(np.asarray(pressed.columns[0, 1]) != 0.0) == 2
 
 
+@pytest.mark.long
 def test_a_nip_feeds():
     """80 mm/s, a ramp of 20 ms before; the pinch carries its preload and weight."""
     run = fed(2e-4)

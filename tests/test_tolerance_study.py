@@ -359,6 +359,7 @@ def test_indices_of_a_group_are_refused_before_anything_is_run():
         refuse_groups(problem(tolerances={"rubber": rubber}))
 
 
+@pytest.mark.long
 def test_a_folder_belongs_to_one_study(rows, tmp_path):
     folder = tmp_path / "made"
     run_study(problem(samples=2), here(problem(), 2), folder)
@@ -551,6 +552,7 @@ def test_what_breaks_a_limit_does_not_pass(monkeypatch, tmp_path):
     assert judged(study, thick, failed) == "passed: it moved"
 
 
+@pytest.mark.long
 def test_a_sample_is_replayed_with_the_parts_that_it_drew(rows, tmp_path):
     path, verdict = replay(problem(), 7, tmp_path)
     assert path.stat().st_size > 5000

@@ -178,6 +178,7 @@ def test_tip_on_incline(bars: int) -> None:
     np.testing.assert_allclose(tip, [e["tip"] for e in tips(0.0)], rtol=0, atol=1.5e-3 * (20 / bars) ** 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_tip_fed_slowly_up_an_incline(friction: float) -> None:
     """The last 3 mm, at 7.5 mm/s; friction takes its full share and points down the guide."""
