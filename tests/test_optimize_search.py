@@ -402,6 +402,7 @@ def test_a_point_at_which_a_machine_fails_is_no_result():
     assert point.rank > replace(point, objective=1e6).rank
 
 
+@pytest.mark.long
 def test_gradients_that_cannot_be_are_told():
     problem = problem_of(search={"iterations": 2})
     result = design(problem)

@@ -22,6 +22,7 @@ def instructions(run, scene) -> int:
     return len(lowered.as_text().splitlines())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "of", [lambda n: transport(guides=n), lambda n: transport(driven=n)], ids=["guides", "rollers"]
 )

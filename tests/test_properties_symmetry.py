@@ -46,6 +46,7 @@ def test_place_does_not_matter(structure, method, seed):
     assert difference(expected, outputs(run(shifted(scene, by), method))) < 1e-9
 
 
+@pytest.mark.long
 @every_case
 @pytest.mark.parametrize("angle", [0.7, np.pi, -8.0])
 def test_direction_does_not_matter(structure, method, seed, angle):

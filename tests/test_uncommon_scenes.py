@@ -67,6 +67,7 @@ def flush(movement: tuple[float, float], other: tuple[float, float] = (0.0, 0.0)
     )
 
 
+@pytest.mark.long
 def test_only_guides_that_stay_together_are_joined():
     """What moves away from its neighbour leaves it a rounded end: nothing of it is missing where the sheet hangs over it."""
     away = (0.0, -40.0)
@@ -160,6 +161,7 @@ def high(**contacts) -> diffeed.Scene:
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", diffeed.METHODS)
 def test_a_deflection_that_nothing_presses_is_forgotten(method):
     scene = high()
