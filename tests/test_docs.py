@@ -92,7 +92,7 @@ def test_figures_of_the_trade_are_those_of_the_readme():
     known = set(re.findall(r"\d+(?:[.,]\d+)*(?:e-?\d+)?", (ROOT / "README.md").read_text("utf-8")))
     page = re.sub(r"```.*?```|`[^`]*`", "", (DOCS / "trade.md").read_text("utf-8"), flags=re.S)
     told = set(re.findall(r"\d+(?:[.,]\d+)*(?:e-?\d+)?", page))
-    assert len(told) > 5
+    assert told
     assert told <= known, told - known
 
 

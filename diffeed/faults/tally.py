@@ -21,13 +21,10 @@ class Tally(NamedTuple):
     power: Array  # kg mm2/s3, of the bodies' surfaces on the sheets
 
 
-def nothing() -> Tally:
-    """Where there are no pairs."""
-    return Tally(*[jnp.zeros(())] * len(Tally._fields))
-
-
-def tallied(pairs: Pairs, kept: Kept, h: Array) -> Tally:
-    """Of a step of length h that begins with these pairs."""
+def tallied(pairs: Pairs | None, kept: Kept, h: Array) -> Tally:
+    """Of a step of length h that begins with these pairs, if there are any."""
+    if pairs is None:
+        return Tally._make([jnp.zeros(())] * len(Tally._fields))
     touch, (depth, closing) = pairs.touch, depth_and_approach(pairs, kept, h)
     of_each = Tally(
         deep=(touch.force > 0) & (depth > kept.allowed),

@@ -91,7 +91,12 @@ class _Block(NamedTuple):
 
 def slower(limits: Limits) -> Slower:
     """As lost rebounds are judged by."""
-    return by_tolerance(limits.tolerance / HORIZON)
+    return by_tolerance(_harmless(limits))
+
+
+def _harmless(limits: Limits) -> Array:
+    """mm/s that a speed may be wrong by after a step."""
+    return limits.tolerance / HORIZON
 
 
 def blocks(most_steps: int, frames: int) -> int:
@@ -203,8 +208,8 @@ def _attempts(
         ways = both_ways(model, before.state, h, candidates.kept)
         error = _error(model, ways)
         if ways.touching.sheets is not None:
-            harmless = limits.tolerance / HORIZON
-            error = jnp.maximum(error, HORIZON * missed(model, ways.touching.sheets, candidates.kept, h, harmless))
+            hit = missed(model, ways.touching.sheets, candidates.kept, h, _harmless(limits))
+            error = jnp.maximum(error, HORIZON * hit)
         after = replace(chosen(ways), time=jnp.where(h >= left, stop, time + h))
         then = taken(model, scene, before, after, ways.touching, h, candidates.kept, control.observe, slower(limits))
         # A step that fails is tried again shorter, as long as that is possible and of use.

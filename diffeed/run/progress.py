@@ -29,7 +29,7 @@ from diffeed.faults.causes import (
     TOO_MANY_NEAR,
 )
 from diffeed.faults.rebounds import Slower
-from diffeed.faults.tally import nothing, tallied
+from diffeed.faults.tally import tallied
 from diffeed.forces.contacts import Contacts, at_own_time
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
@@ -105,8 +105,8 @@ def taken(
     before = carry.state
     # Judging has no derivative: nothing of it is carried on by one.
     judged, then, now, met, near = lax.stop_gradient((model, before, after, touching, kept))
-    tally = tallied(met.sheets, near, h) if met.sheets is not None else nothing()
-    (cause, leap), book = judge.of_step(judged, then, now, met, tally, near, h, explicit), carry.book
+    tally, book = tallied(met.sheets, near, h), carry.book
+    cause, leap = judge.of_step(judged, then, now, met, tally, near, h, explicit)
     if balance.is_kept(model):
         book = balance.entered(judged, book, tally, met.at, h)
     lacks = carry.lacks
