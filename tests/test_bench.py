@@ -176,22 +176,21 @@ def test_a_run_that_fails_says_when_and_why(tiny):
 
 
 def test_all_are_timed_in_turns_and_short_ones_more_often():
-    order, times = [], {"short": [0.5, 0.1, 0.3, 0.2], "long": [3.0, 9.0, 6.0], "failed": [1.0]}
+    order, times = [], {"short": [0.5, 0.1, 0.3, 0.2], "long": [3.0, 9.0, 6.0]}
 
-    def finished(name: str) -> fronts.Finished:
+    def made(name: str) -> timing.Timed:
         left = iter(times[name][1:])
 
         def again() -> float:
             order.append(name)
             return next(left)
 
-        return fronts.Finished(row_of(None, times[name][0]), None, None if name == "failed" else again)
+        return timing.Timed(1.0, times[name][0], 1, None, 0.5, None, again)
 
-    short, failed, long = (f.row for f in fronts.in_turns([finished(n) for n in ("short", "failed", "long")], fewest=3))
+    short, long = timing.in_turns([made("short"), made("long")], fewest=3)
     assert order == ["short", "long", "short", "long", "short"]
-    assert (short.run_seconds, short.repeats) == (0.25, 4)
-    assert (long.run_seconds, long.repeats) == (6.0, 3)
-    assert (failed.run_seconds, failed.repeats) == (1.0, row_of(None, 1.0).repeats)
+    assert (short.run, short.repeats) == (0.25, 4)
+    assert (long.run, long.repeats) == (6.0, 3)
 
 
 @pytest.mark.long

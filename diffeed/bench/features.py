@@ -9,7 +9,7 @@ from typing import Any
 
 from diffeed.base.records import replace
 from diffeed.bench.jaxprs import count_equations
-from diffeed.bench.timing import timed
+from diffeed.bench.timing import Timed, in_turns, once
 from diffeed.input.parts import (
     ArcGuide,
     CircleGuide,
@@ -149,23 +149,22 @@ def features(
     full = (full_scene(), OBSERVERS) if given is None else given
     chosen = tuple(FEATURES) if names is None else names
     rows: list[dict[str, Any]] = []
+    made: list[Timed] = []
     for name in ("", *chosen):
         show(len(rows), len(chosen) + 1, f"without {name}" if name else "the full scene")
         scene, observers = full if not name else FEATURES[name](full)
-        rows.append({"without": name, **_measure(normalise(scene), observers, times)})
+        scene, program = normalise(scene), _program(observers)
+        rows.append({"without": name, "equations": count_equations(program, scene)})
         rows[-1]["saved"] = rows[0]["equations"] - rows[-1]["equations"]
+        if times:
+            made.append(once(program, scene))
+    for row, each in zip(rows, in_turns(made), strict=False):  # none is made where no times are asked for
+        row.update(compile_seconds=each.compile, us_per_step=1e6 * each.run / STEPS)
     return rows
 
 
-def _measure(scene: Scene, observers: tuple[str, ...], times: bool) -> dict[str, Any]:
-    def program(scene: Scene) -> Any:
-        return simulate(scene, duration=STEPS * DT, dt=DT, frames=2, observe=observers)
-
-    row: dict[str, Any] = {"equations": count_equations(program, scene)}
-    if times:
-        made = timed(program, scene)
-        row |= {"compile_seconds": made.compile, "us_per_step": 1e6 * made.run / STEPS}
-    return row
+def _program(observers: tuple[str, ...]) -> Callable[[Scene], Any]:
+    return lambda scene: simulate(scene, duration=STEPS * DT, dt=DT, frames=2, observe=observers)
 
 
 def free_of_charge(rows: list[dict[str, Any]]) -> tuple[list[str], list[str]]:

@@ -1,7 +1,6 @@
 """A scene under many settings: cost and errors of each, against a converged run of the same scene."""
 
 import hashlib
-import statistics
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from diffeed.bench.machine import machine
 from diffeed.bench.outcome import OBSERVE, Outcome, differences, outcome
 from diffeed.bench.records import Front, Reference, Row
 from diffeed.bench.settings import STEPS, Setting, knobs, power, sweep
-from diffeed.bench.timing import enough, precision, timed
+from diffeed.bench.timing import Timed, in_turns, once, precision
 from diffeed.input.parts import Scene, SinglePrecision, normalise
 from diffeed.input.paths import assign
 from diffeed.input.scene_file import scene_text
@@ -35,8 +34,8 @@ class Finished(NamedTuple):
 
     row: Row
     result: Outcome | None
-    again: Callable[[], float] | None = None
-    """Runs it once more, s."""
+    made: Timed | None = None
+    """Of a run that holds."""
 
 
 def front(
@@ -64,7 +63,7 @@ def front(
         show(done, total, setting.name)
         finished.append(run_setting(scene, setting, frames))
     show(len(asked), total, "timing, all in turns")
-    finished = in_turns(finished, fewest)
+    finished = _in_turns(finished, fewest)
     smallest = min(s.dt for s in asked)
     fine, why = _reference(scene, finished, reference_step or smallest / FINER, frames, show, total)
     show(total, total, "done")
@@ -109,7 +108,7 @@ def _run(scene: Scene, setting: Setting, frames: int) -> Finished:
     def program(scene: Scene, state: Any) -> Any:
         return simulate(scene, frames=frames, initial=state, observe=OBSERVE, **setting.options())
 
-    made = timed(program, scene, state, fewest=1)
+    made = once(program, scene, state)
     row = Row(
         setting,
         "ok" if bool(made.value.ok) else "failed",
@@ -119,24 +118,14 @@ def _run(scene: Scene, setting: Setting, frames: int) -> Finished:
         made.repeats,
         int(made.value.steps) if made.value.ok else None,  # the time is that of all steps, of which it took a part
     )
-    if not row.ok:
-        return Finished(row, None)
-
-    def again() -> float:
-        with precision(setting.precision):
-            return made.again()
-
-    return Finished(row, outcome(scene, made.value), again)
+    return Finished(row, outcome(scene, made.value), made) if row.ok else Finished(row, None)
 
 
-def in_turns(finished: list[Finished], fewest: int) -> list[Finished]:
-    """The same, each run until that is `enough`: in turns, so that what else the computer does falls on all alike."""
-    runs = {k: f.again for k, f in enumerate(finished) if f.again is not None}
-    seconds = {k: [finished[k].row.run_seconds or 0.0] for k in runs}
-    while waiting := [k for k in runs if not enough(seconds[k], fewest)]:
-        for k in waiting:
-            seconds[k].append(runs[k]())
-    rows = {k: replace(finished[k].row, run_seconds=statistics.median(s), repeats=len(s)) for k, s in seconds.items()}
+def _in_turns(finished: list[Finished], fewest: int) -> list[Finished]:
+    """The same, those that hold timed."""
+    made = {k: f.made for k, f in enumerate(finished) if f.made is not None}
+    times = dict(zip(made, in_turns(list(made.values()), fewest), strict=True))
+    rows = {k: replace(finished[k].row, run_seconds=t.run, repeats=t.repeats) for k, t in times.items()}
     return [f._replace(row=rows.get(k, f.row)) for k, f in enumerate(finished)]
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.bench.timing import Timed, timed
+from diffeed.bench.timing import Timed, in_turns, once
 from diffeed.gradients.modes import GradientPlan, gradient_plan, value_and_gradient
 from diffeed.input.parts import Scene, normalise
 from diffeed.readings.trajectory import Trajectory
@@ -50,12 +50,15 @@ def gradient(
         ),
         REVERSE: (slopes(None, "reverse"), gradient_plan(scene, every, duration, dt, FRAMES, "reverse")),
     }
-    rows = []
-    for what, (program, planned) in programs.items():
-        show(len(rows), len(programs), what)
-        made = timed(program, scene, fewest=fewest)
-        rows.append(_row(what, made, planned, rows[0]["run_seconds"] if rows else made.run))
-    return rows
+    made = []
+    for what, (program, _) in programs.items():
+        show(len(made), len(programs), what)
+        made.append(once(program, scene))
+    made = in_turns(made, fewest)
+    return [
+        _row(what, each, planned, made[0].run)
+        for (what, (_, planned)), each in zip(programs.items(), made, strict=True)
+    ]
 
 
 def _row(what: str, made: Timed, planned: GradientPlan | None, one_run: float) -> dict[str, Any]:

@@ -24,30 +24,42 @@ class Timed(NamedTuple):
     again: Callable[[], float]  # runs it once more, and says how long that took
 
 
-def timed(function: Callable[..., Any], *arguments: Any, fewest: int = 3) -> Timed:
-    """Compile a function for its arguments, then run it until that is `enough`."""
+def once(function: Callable[..., Any], *arguments: Any) -> Timed:
+    """Compile a function for its arguments, and run it."""
     begun = time.perf_counter()
     lowered = jax.jit(function).lower(*arguments)
     trace_seconds = time.perf_counter() - begun
     compiled = lowered.compile()
     compile_seconds = time.perf_counter() - begun
+    digits = "float64" if jax.config.values["jax_enable_x64"] else "float32"
 
     def run() -> tuple[Any, float]:
-        begun = time.perf_counter()
-        value = jax.block_until_ready(compiled(*arguments))
-        return value, time.perf_counter() - begun
+        with precision(digits):
+            begun = time.perf_counter()
+            value = jax.block_until_ready(compiled(*arguments))
+            return value, time.perf_counter() - begun
 
     value, first = run()
-    seconds = [first]
-    while not enough(seconds, fewest):
-        seconds.append(run()[1])
     temporary = getattr(compiled.memory_analysis(), "temp_size_in_bytes", None)
-    median = statistics.median(seconds)
-    return Timed(compile_seconds, median, len(seconds), value, trace_seconds, temporary, lambda: run()[1])
+    return Timed(compile_seconds, first, 1, value, trace_seconds, temporary, lambda: run()[1])
 
 
-def enough(seconds: Sequence[float], fewest: int) -> bool:
-    """Whether a program was run often enough: `fewest` times, if more than once then many times if it is short."""
+def in_turns(made: Sequence[Timed], fewest: int = 3) -> list[Timed]:
+    """Programs that ran once, run `fewest` times or more: many times if they are short. All in turns, so that what else the
+    computer does falls on all alike."""
+    seconds = [[m.run] for m in made]
+    while waiting := [k for k, s in enumerate(seconds) if not _enough(s, fewest)]:
+        for k in waiting:
+            seconds[k].append(made[k].again())
+    return [m._replace(run=statistics.median(s), repeats=len(s)) for m, s in zip(made, seconds, strict=True)]
+
+
+def timed(function: Callable[..., Any], *arguments: Any, fewest: int = 3) -> Timed:
+    """One program alone."""
+    return in_turns([once(function, *arguments)], fewest)[0]
+
+
+def _enough(seconds: Sequence[float], fewest: int) -> bool:
     return len(seconds) >= fewest and (fewest == 1 or len(seconds) >= MOST or sum(seconds) >= ENOUGH)
 
 
