@@ -79,6 +79,7 @@ def test_what_a_sheet_does_after_its_fate_is_decided_is_not_compared(scene, run)
         assert after.holds
         assert after.until == pytest.approx(float(run.time[frame]))
         assert after.later == pytest.approx(100.0)
+        assert not after.to_the_end
         assert after.sentence().endswith("Not so what came after that: it comes up to 100 mm elsewhere.")
         assert "after that" not in diffeed.confirm(asked, made, moved(made, frame + 1, 1e-3)).sentence()
     brief = replace(run, **jax.tree.map(lambda v: v[:2], {n: getattr(run, n) for n in FRAMED}))

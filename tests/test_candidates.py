@@ -1,4 +1,4 @@
-"""Which pairs a search lists, how long they last, and what tells that they did not."""
+"""Which pairs a search lists, how long they last, and what tells that they did not; and that a rest is of all that touches."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import initial_state
 from diffeed.contact import candidates
 from diffeed.contact.bodies import bodies
-from diffeed.contact.candidates import Capacities, _most_urgent, capacities
+from diffeed.contact.candidates import Capacities, _most_urgent, capacities, touching_now
 from diffeed.contact.features import features
 from diffeed.contact.kept import keep_all
 from diffeed.contact.near import circles_near, guides_near
@@ -21,6 +21,7 @@ from diffeed.contact.watched import Watched, used_up, watch, ways
 from diffeed.faults.causes import CAUSES, TOO_MANY_NEAR
 from diffeed.input.parts import normalise
 from diffeed.model.build import build
+from diffeed.statics.coordinates import generalised_force, positions, with_positions
 
 
 def watched(gap) -> Watched:
@@ -145,3 +146,30 @@ def test_a_list_that_is_too_short_for_long_steps_lasts_for_shorter_ones():
     then, span = candidates.for_as_long_as_they_last(found._replace(lasts=jnp.asarray(-0.1)), jnp.asarray(8e-3))
     assert float(span) == 0.0
     assert not bool(then.complete)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_touches_at_a_state_is_listed(seed):
+    """A feeder with its sheet carried and bent at random: as many forces from the list as from all pairs."""
+    scene = normalise(diffeed.load_scene("film_feeder"))
+    model = build(scene)
+    assert capacities(model).listed
+    start, rng = initial_state(model, scene), np.random.default_rng(seed)
+    moved = positions(model, start) + rng.normal(0.0, 0.03, positions(model, start).shape)
+    state = with_positions(model, start, jnp.asarray(moved), jnp.zeros(moved.shape))
+    kept, whole = jax.jit(touching_now)(model, state)
+    listed, every = (jax.jit(generalised_force)(model, state, k) for k in (kept, keep_all(model)))
+    assert bool(whole)
+    assert np.abs(every).max() > 1e3, "or nothing touches"
+    np.testing.assert_allclose(listed, every, rtol=1e-11, atol=1e-11 * np.abs(every).max())
+
+
+@pytest.mark.parametrize("count", [6, 5])
+def test_a_rest_that_a_list_does_not_hold_is_none(count, monkeypatch, forgotten):
+    scene = pressed()
+    thick = replace(scene.sheets["strip"], thickness=0.24)
+    scene = replace(scene, sheets={"strip": thick}, initial="settled")
+    assert np.isfinite(np.asarray(diffeed.settle(scene).x)).all()
+    jax.clear_caches()
+    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(count, 0, 0))
+    assert np.isfinite(np.asarray(diffeed.settle(scene).x)).all() == (count == 6)

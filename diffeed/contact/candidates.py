@@ -106,6 +106,16 @@ def search(model: Model, state: State, span: Array) -> Candidates:
     return Candidates(keep_all(model) if index is None else keep(model, **index), *measured)
 
 
+def touching_now(model: Model, state: State) -> tuple[Kept, Array]:
+    """The pairs that touch at a state, with few others, and whether all of them are listed (bool). Derivatives as in `search`."""
+    if not model.has_bodies or not capacities(model).listed:
+        return keep_all(model), jnp.ones((), bool)
+    alike, there = lax.stop_gradient(model), lax.stop_gradient(state)
+    at, world = pose(alike, there), bodies(alike, there, there.time, there.time)
+    index, lasts, _, _ = _list(alike, at, world, None)
+    return keep(model, **index), lasts > 0.0
+
+
 def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
     """Indices of what to keep (None: everything), and all else that `Candidates` hold."""
     at, world = pose(model, state), bodies(model, state, state.time, state.time)
@@ -116,7 +126,7 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
     index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
     lasts, watched, free, apart = never, {}, never, never
     if size.listed:
-        index, lasts, watched, free = _list(model, at, world, span, pace)
+        index, lasts, watched, free = _list(model, at, world, (span, pace))
     if size.partners is not None:
         index["partners"], apart = _partners(model, world, size.partners)
         reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
@@ -125,20 +135,23 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
 
 
 def _list(
-    model: Model, at: Pose, world: Bodies, span: Array, pace: Array
+    model: Model, at: Pose, world: Bodies, ahead: tuple[Array, Array] | None
 ) -> tuple[dict[str, Array | None], Array, dict[str, Watched], Array]:
-    """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
+    """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be.
+
+    `ahead` is a time (s) and the speed of the fastest surface in it (mm/s). None: pairs are listed by their gaps alone, and last
+    for as long as no other touches.
+    """
     x, y = nodes(model, at)
-    velocity, fastest = node_velocities(model, at), _fastest_node(model, at) + pace
+    reach, furthest = _reaches(model, at, world, ahead)
     close, size = _close_by(model, world, x, y), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
-    rows, motions = features(model, at), speeds(world)
+    rows = features(model, at)
     families = (
         lambda: circles_near(rows, world, looked_at),
         lambda: guides_near(rows, world, looked_at._replace(arcs=None)),
         lambda: guides_near(rows, world, looked_at._replace(lines=None)),
     )
-    unasked = REACH + TURNING * span * fastest
     index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
     watched, feature_of = {}, []
     lasts = free = jnp.full((), jnp.inf, x.dtype)
@@ -146,17 +159,30 @@ def _list(
         if not count:
             continue
         seen = watch(model, at, world, near(), looked_at, family)
-        closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
-        body, feature, watched[family], last = _most_urgent(seen, unasked + MARGIN * span * closing, count)
+        body, feature, watched[family], last = _most_urgent(seen, reach(seen, family), count)
         index[family] = body if of is None else of.which[body]
         feature_of.append(feature)
         lasts = jnp.minimum(lasts, last)
         free = free if of is None else jnp.minimum(free, of.free)
-    lasts = jnp.minimum(lasts, free / (REACH + MARGIN * span * fastest))
+    lasts = jnp.minimum(lasts, free / furthest)
     return index | {"feature": jnp.concatenate(feature_of)}, lasts, watched, free
 
 
-def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Array, Watched, Array]:
+def _reaches(model: Model, at: Pose, world: Bodies, ahead: tuple[Array, Array] | None) -> tuple[Any, Array | float]:
+    """mm by which gaps may shrink: of the pairs of a family, and any gap at most."""
+    if ahead is None:
+        return lambda _seen, _family: REACH, REACH
+    span, pace = ahead
+    velocity, motions, fastest = node_velocities(model, at), speeds(world), _fastest_node(model, at) + pace
+
+    def reach(seen: Watched, family: str) -> Array:
+        closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
+        return REACH + TURNING * span * fastest + MARGIN * span * closing
+
+    return reach, REACH + MARGIN * span * fastest
+
+
+def _most_urgent(seen: Watched, reach: Array | float, count: int) -> tuple[Array, Array, Watched, Array]:
     """Bodies and features, (count,) each, of the pairs whose gaps are soonest used up; all others, and how long they last."""
     urgency, n_features = (seen.gap / reach).ravel(), seen.gap.shape[1]
     if count >= urgency.shape[0]:

@@ -56,6 +56,11 @@ class Confirmation(NamedTuple):
     unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
     later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
 
+    @property
+    def to_the_end(self) -> bool:
+        """Whether it holds, and of what a sheet did after its fate was decided, too."""
+        return self.holds and not self.later > max(2.0 * self.apart, SHARE * self.way)
+
     def sentence(self) -> str:
         """What it came to, in words."""
         told = self._of_place()
@@ -69,7 +74,7 @@ class Confirmation(NamedTuple):
         up_to = f"until {self.until:.3g} s the sheet is"
         if self.holds:
             told = f"Confirmed by a run {FINER} times as fine: {up_to} at most {where}, and the verdict is the same."
-            if self.later > max(2.0 * self.apart, SHARE * self.way):
+            if not self.to_the_end:
                 told += f" Not so what came after that: it comes up to {self.later:.3g} mm elsewhere."
             return told
         away = f"Not confirmed: in a run {FINER} times as fine, {up_to} up to {where}, and the "

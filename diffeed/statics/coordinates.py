@@ -11,7 +11,7 @@ from diffeed.base.records import replace
 from diffeed.chain.kinematics import pose
 from diffeed.chain.state import State, total_per_sheet
 from diffeed.contact.bodies import bodies
-from diffeed.contact.kept import Kept, keep_all
+from diffeed.contact.kept import Kept
 from diffeed.forces.clamps import by_direction, hold_target, walls
 from diffeed.forces.contacts import Contacts, contacts, pair_terms
 from diffeed.forces.loads import pushes
@@ -43,15 +43,14 @@ def with_positions(model: Model, state: State, q: Array, v: Array) -> State:
     )  # fmt: skip
 
 
-def generalised_force(model: Model, state: State, pressed: Array | None = None) -> Array:
-    """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2.
+def generalised_force(model: Model, state: State, kept: Kept, pressed: Array | None = None) -> Array:
+    """Force on each entry of q at a state (no inertia, no clamps), kg mm/s2 and kg mm2/s2: of contacts, that of the kept pairs.
 
     Friction sticks as the state's deflections say, by the normal forces `pressed` (the present ones if None); in a state
     without deflections it is regularised.
     """
     at = pose(model, state)
     world = bodies(model, state, state.time, state.time)
-    kept = keep_all(model)
     touching = contacts(model, at, world, kept, state.grip, pressed=pressed)
     plain = Step(jnp.ones(()), False)
     terms = [weight(model), joints(model, state, plain), pushes(model, at), walls(model, state, plain)]

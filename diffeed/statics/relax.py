@@ -19,7 +19,8 @@ LONGER = 4.0
 SHORTEST, LONGEST = 1e-14, 1e14
 """s2: squared lengths of steps. The shortest, 0.1 us, follows bars of 1 mm past a friction that lets go; 10 us did not."""
 
-Imbalance = Callable[["Rest"], "Rest"]
+Imbalance = Callable[["Rest"], tuple["Rest", Array]]
+"""What is left over at a point, and whether that is all of it: a point where something was not looked at is no rest."""
 Limit = Callable[[Array, Array], Array]
 """Of positions and a step from there: the share of it that is safe."""
 
@@ -60,11 +61,15 @@ def relaxed(imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, fir
     def carry_on(at: _Search) -> Array:
         return (at.tries < ITERATIONS) & ~at.done
 
+    def looked_at(rest: Rest) -> tuple[Rest, tuple[Rest, Array]]:
+        gap, whole = imbalance(rest)
+        return gap, (gap, whole)
+
     def improve(at: _Search) -> _Search:
         step = _newton_step(at.slope, at.gap, inertia / at.span2)
         share = limit(at.rest.q, step.q)
         trial = jax.tree.map(lambda r, d: r + share * d, at.rest, step)
-        jacobian, gap = jax.jacfwd(lambda r: (imbalance(r),) * 2, has_aux=True)(trial)
+        jacobian, (gap, whole) = jax.jacfwd(looked_at, has_aux=True)(trial)
         foreseen = Rest((1.0 - share) * at.gap.q + share * inertia / at.span2 * step.q, (1.0 - share) * at.gap.reaction)
         slope = dense(jacobian)
         noise = _noise(slope, trial, inertia)
@@ -78,7 +83,7 @@ def relaxed(imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, fir
         taken = (surprise <= at.allowed) | (left <= at.left) | (at.span2 <= SHORTEST)
         good = jnp.isfinite(left) & taken
         span2 = _next_span(at, surprise, good, share >= 1.0, left)
-        done = good & (share >= 1.0) & close & (at.span2 > 1e2)
+        done = good & whole & (share >= 1.0) & close & (at.span2 > 1e2)
         bolder = jnp.minimum(BOLDER * at.allowed, BOLD)
         reached = _Search(at.tries, trial, gap, slope, left, span2, bolder, done)
         stayed = at._replace(span2=span2, allowed=jnp.full_like(at.allowed, WARY))

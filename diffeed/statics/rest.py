@@ -16,6 +16,7 @@ from diffeed.base.records import replace
 from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
+from diffeed.contact.candidates import touching_now
 from diffeed.contact.kept import keep_all
 from diffeed.contact.profile import interpolate
 from diffeed.input.check_records import checked
@@ -125,15 +126,16 @@ def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
     return stick.at_friction(still, touching.sheets, keep_all(still))
 
 
-def _imbalance(freed: Freed, rest: Rest) -> Rest:
-    """Generalised forces and clamp gaps that are left over at a would-be rest."""
+def _imbalance(freed: Freed, rest: Rest) -> tuple[Rest, Array]:
+    """Generalised forces and clamp gaps that are left over at a would-be rest, and whether all that touches was looked at."""
     still, start, inertia, _ = freed
     q0 = positions(still, start)
     state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
     (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
     belongs = held_places(still, start)[1]
-    force = generalised_force(still, state) + pull(rest.reaction)[0]
-    return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs)
+    kept, whole = touching_now(still, state)
+    force = generalised_force(still, state, kept) + pull(rest.reaction)[0]
+    return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs), whole
 
 
 @jax.custom_jvp
@@ -168,14 +170,14 @@ def _balance_and_slope_move(primals: tuple[Freed], tangents: tuple[Freed]) -> tu
     move = _move(found, freed, freed_dot)
 
     def slope(freed: Freed, rest: Rest) -> Array:
-        return dense(jax.jacfwd(lambda r: _imbalance(freed, r))(rest))
+        return dense(jax.jacfwd(lambda r: _imbalance(freed, r)[0])(rest))
 
     _, slope_dot = jax.jvp(slope, (freed, found.rest), (freed_dot, move))
     return found, Found(move, jnp.zeros_like(found.found), slope_dot)
 
 
 def _move(found: Found, freed: Freed, freed_dot: Freed) -> Rest:
-    _, change = jax.jvp(lambda f: _imbalance(f, found.rest), (freed,), (freed_dot,))
+    _, change = jax.jvp(lambda f: _imbalance(f, found.rest)[0], (freed,), (freed_dot,))
     move = jnp.linalg.solve(found.slope, -jnp.concatenate(change))
     return as_rest(move, found.rest)
 

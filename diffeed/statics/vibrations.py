@@ -81,7 +81,7 @@ def _linearise(scene: Scene, state: State) -> Linearisation:
 
     def force(q: Array, v: Array) -> Array:
         moved = with_positions(model, state, q, v)
-        return generalised_force(model, replace(moved, grip=_dragged_grip(model, state, q)), pressed)
+        return generalised_force(model, replace(moved, grip=_dragged_grip(model, state, q)), keep_all(model), pressed)
 
     rows = jax.jacfwd(lambda q: held_places(model, with_positions(model, state, q, v))[0])(q)
     load = force(q, v)

@@ -46,7 +46,7 @@ class Found(NamedTuple):
     seed: int
     what: str
     confirmed: bool = False
-    """Whether shorter steps agree with it."""
+    """Whether shorter steps agree with it, to the end."""
 
 
 class Tally(NamedTuple):
@@ -115,7 +115,7 @@ def look_for_trouble(machine: str, method: str, count: int, first: int = 0, thor
             elif is_wrong(one, true):
                 apart, way = _apart(one, true)
                 what = f"{apart:.3g} mm off, of {way:.3g} mm moved; it told of {float(one.error):.2g} mm"
-                confirmed = diffeed.confirm(made, one, other).holds
+                confirmed = diffeed.confirm(made, one, other).to_the_end
                 what += ", and is confirmed" * confirmed
                 found.append(Found(machine, method, seed, what, confirmed))
     return Tally(machine, method, count, refused, held, sensitive, causes, found, time.perf_counter() - began)
