@@ -19,8 +19,10 @@ LONGER = 4.0
 SHORTEST, LONGEST = 1e-14, 1e14
 """s2: squared lengths of steps. The shortest, 0.1 us, follows bars of 1 mm past a friction that lets go; 10 us did not."""
 
-Imbalance = Callable[["Rest"], tuple["Rest", Array]]
-"""What is left over at a point, and whether that is all of it: a point where something was not looked at is no rest."""
+Look = Callable[["Rest"], tuple[Any, Array]]
+"""Of a point: what the imbalance is asked with there, and whether that is all of it: where something is not looked at is no
+rest. (It has no slope, and is left out of what the slope is made of.)"""
+Imbalance = Callable[["Rest", Any], "Rest"]
 Limit = Callable[[Array, Array], Array]
 """Of positions and a step from there: the share of it that is safe."""
 
@@ -53,7 +55,7 @@ class _Search(NamedTuple):
     done: Array
 
 
-def relaxed(imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, first: float) -> Found:
+def relaxed(look: Look, imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, first: float) -> Found:
     """Pseudo-transient continuation: linearly implicit steps from rest, as long as their linearisation foresees what they
     leave, so that contacts that open and close do not throw the search to and fro; near the rest it ends in Newton's
     method."""
@@ -61,15 +63,12 @@ def relaxed(imbalance: Imbalance, guess: Rest, inertia: Array, limit: Limit, fir
     def carry_on(at: _Search) -> Array:
         return (at.tries < ITERATIONS) & ~at.done
 
-    def looked_at(rest: Rest) -> tuple[Rest, tuple[Rest, Array]]:
-        gap, whole = imbalance(rest)
-        return gap, (gap, whole)
-
     def improve(at: _Search) -> _Search:
         step = _newton_step(at.slope, at.gap, inertia / at.span2)
         share = limit(at.rest.q, step.q)
         trial = jax.tree.map(lambda r, d: r + share * d, at.rest, step)
-        jacobian, (gap, whole) = jax.jacfwd(looked_at, has_aux=True)(trial)
+        seen, whole = look(trial)
+        jacobian, gap = jax.jacfwd(lambda r: (imbalance(r, seen),) * 2, has_aux=True)(trial)
         foreseen = Rest((1.0 - share) * at.gap.q + share * inertia / at.span2 * step.q, (1.0 - share) * at.gap.reaction)
         slope = dense(jacobian)
         noise = _noise(slope, trial, inertia)

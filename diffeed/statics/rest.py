@@ -6,6 +6,7 @@ contact stiffness, gravity and loads are exact; dampers play no part; driven sha
 rest state then holds what was found by its deflections.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ from diffeed.chain.kinematics import nodes, pose
 from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
 from diffeed.contact.candidates import touching_now
-from diffeed.contact.kept import keep_all
+from diffeed.contact.kept import Kept, keep_all
 from diffeed.contact.profile import interpolate
 from diffeed.input.check_records import checked
 from diffeed.input.packing import jit_of_scene
@@ -126,16 +127,21 @@ def _grip_at_rest(freed: Freed, rest: Rest) -> Array | None:
     return stick.at_friction(still, touching.sheets, keep_all(still))
 
 
-def _imbalance(freed: Freed, rest: Rest) -> tuple[Rest, Array]:
-    """Generalised forces and clamp gaps that are left over at a would-be rest, and whether all that touches was looked at."""
+def _look(freed: Freed, rest: Rest) -> tuple[Kept, Array]:
+    """The pairs that touch at a would-be rest, and whether these are all."""
+    still, start, _, _ = freed
+    return touching_now(still, with_positions(still, start, rest.q, jnp.zeros_like(rest.q)))
+
+
+def _imbalance(freed: Freed, rest: Rest, kept: Kept) -> Rest:
+    """Generalised forces and clamp gaps that are left over at a would-be rest."""
     still, start, inertia, _ = freed
     q0 = positions(still, start)
     state = with_positions(still, start, rest.q, (rest.q - q0) / HOLD)
     (is_at, pull) = jax.vjp(lambda q: held_places(still, with_positions(still, start, q, q))[0], rest.q)
     belongs = held_places(still, start)[1]
-    kept, whole = touching_now(still, state)
     force = generalised_force(still, state, kept) + pull(rest.reaction)[0]
-    return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs), whole
+    return Rest(force - inertia * (rest.q - q0) / ANCHOR**2, is_at - belongs)
 
 
 @jax.custom_jvp
@@ -170,14 +176,15 @@ def _balance_and_slope_move(primals: tuple[Freed], tangents: tuple[Freed]) -> tu
     move = _move(found, freed, freed_dot)
 
     def slope(freed: Freed, rest: Rest) -> Array:
-        return dense(jax.jacfwd(lambda r: _imbalance(freed, r)[0])(rest))
+        kept = _look(freed, rest)[0]
+        return dense(jax.jacfwd(lambda r: _imbalance(freed, r, kept))(rest))
 
     _, slope_dot = jax.jvp(slope, (freed, found.rest), (freed_dot, move))
     return found, Found(move, jnp.zeros_like(found.found), slope_dot)
 
 
 def _move(found: Found, freed: Freed, freed_dot: Freed) -> Rest:
-    _, change = jax.jvp(lambda f: _imbalance(f, found.rest)[0], (freed,), (freed_dot,))
+    _, change = jax.jvp(lambda f: _imbalance(f, found.rest, _look(f, found.rest)[0]), (freed,), (freed_dot,))
     move = jnp.linalg.solve(found.slope, -jnp.concatenate(change))
     return as_rest(move, found.rest)
 
@@ -187,7 +194,8 @@ def _search_rest(freed: Freed) -> Found:
     still, start, inertia, near = freed
     q0, span2 = (positions(still, start), COLD) if near is None else (near, WARM)
     guess = Rest(q0, jnp.zeros_like(held_places(still, start)[1]))
-    return relaxed(lambda rest: _imbalance(freed, rest), guess, inertia, _step_limit(still, start), span2)
+    limit = _step_limit(still, start)
+    return relaxed(partial(_look, freed), partial(_imbalance, freed), guess, inertia, limit, span2)
 
 
 def _step_limit(model: Model, state: State):
