@@ -77,7 +77,7 @@ def test_a_run_and_its_derivative_are_those_of_loose_numbers():
         scene.guides["ramp"],
         motion=Motion(times=(0.0, 1.0), displacement=((0.0, 0.0), (1.0, 0.0)), rotation=(0.0, 0.0)),
     )
-    scene = normalise(replace(scene, guides=scene.guides | {"ramp": moved}))
+    scene = normalise(replace(scene, guides=scene.guides | {"ramp": moved}, initial="given"))
     assert set(pack(scene).places) == {0, 1, LOOSE}
     path = "rollers.drive_1.center"
 
