@@ -1,5 +1,7 @@
 """Which pairs a search lists, how long they last, and what tells that they did not; and that a rest is of all that touches."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +23,7 @@ from diffeed.contact.watched import Watched, used_up, watch, ways
 from diffeed.faults.causes import CAUSES, TOO_MANY_NEAR
 from diffeed.input.parts import normalise
 from diffeed.model.build import build
+from diffeed.statics import rest
 from diffeed.statics.coordinates import generalised_force, positions, with_positions
 
 
@@ -164,12 +167,34 @@ def test_what_touches_at_a_state_is_listed(seed):
     np.testing.assert_allclose(listed, every, rtol=1e-11, atol=1e-11 * np.abs(every).max())
 
 
-@pytest.mark.parametrize("count", [6, 5])
-def test_a_rest_that_a_list_does_not_hold_is_none(count, monkeypatch, forgotten):
+def thick_in_a_nip() -> diffeed.Scene:
+    """Both bars touch both rollers."""
     scene = pressed()
-    thick = replace(scene.sheets["strip"], thickness=0.24)
-    scene = replace(scene, sheets={"strip": thick}, initial="settled")
-    assert np.isfinite(np.asarray(diffeed.settle(scene).x)).all()
-    jax.clear_caches()
+    return replace(scene, sheets={"strip": replace(scene.sheets["strip"], thickness=0.24)}, initial="settled")
+
+
+@pytest.mark.parametrize(("count", "enough"), [(6, True), (4, True), (3, False)])
+def test_a_list_at_a_state_says_whether_it_holds_all_that_touches(count, enough, monkeypatch):
+    scene = normalise(thick_in_a_nip())
+    model = build(scene)
     monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(count, 0, 0))
-    assert np.isfinite(np.asarray(diffeed.settle(scene).x)).all() == (count == 6)
+    assert bool(touching_now(model, initial_state(model, scene))[1]) == enough
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_rest_that_a_list_does_not_hold_is_none(whole, monkeypatch, forgotten):
+    monkeypatch.setattr(rest, "touching_now", lambda *given: (touching_now(*given)[0], jnp.asarray(whole)))
+    assert np.isfinite(np.asarray(diffeed.settle(thick_in_a_nip()).x)).all() == whole
+
+
+def test_a_rest_on_many_short_lines_is_found():
+    """Most of them are near and bear nothing: behind the slope of one that ends before."""
+    at = np.linspace(-40.0, 40.0, 25)
+    points = np.stack([at, 1.0 - (at / 40.0) ** 2], axis=1)
+    bed = {f"bed_{k}": diffeed.LineGuide(start=a, end=b) for k, (a, b) in enumerate(itertools.pairwise(points))}
+    limp = Sheet(length=60.0, thickness=0.1, width=50.0, density=8e-7, youngs_modulus=10.0, bars=6, lead=(30.0, 1.4))
+    scene = diffeed.scene(sheets={"strip": limp}, guides=bed)
+    assert capacities(build(normalise(scene))).listed
+    lying = diffeed.settle(scene)
+    below = np.interp(30.0 - 10.0 * np.arange(7), *points.T)
+    assert float(lying.y[0]) == pytest.approx(0.05 + np.mean(0.5 * (below[1:] + below[:-1])), abs=0.01)

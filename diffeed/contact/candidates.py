@@ -107,7 +107,7 @@ def search(model: Model, state: State, span: Array) -> Candidates:
 
 
 def touching_now(model: Model, state: State) -> tuple[Kept, Array]:
-    """The pairs that touch at a state, with few others, and whether all of them are listed (bool). Derivatives as in `search`."""
+    """The pairs that touch at a state, and few others; and whether all that touch are listed (bool). Derivatives as `search`."""
     if not model.has_bodies or not capacities(model).listed:
         return keep_all(model), jnp.ones((), bool)
     alike, there = lax.stop_gradient(model), lax.stop_gradient(state)
@@ -158,7 +158,10 @@ def _list(
     for near, family, count, of in zip(families, FAMILIES, size[:3], close, strict=True):
         if not count:
             continue
-        seen = watch(model, at, world, near(), looked_at, family)
+        closest = near()
+        seen = watch(model, at, world, closest, looked_at, family)
+        if ahead is None:  # what bears nothing where it is does not touch
+            seen = seen._replace(gap=jnp.where(closest.weight > 0, closest.gap, jnp.inf))
         body, feature, watched[family], last = _most_urgent(seen, reach(seen, family), count)
         index[family] = body if of is None else of.which[body]
         feature_of.append(feature)
