@@ -20,8 +20,8 @@ LOST_REBOUNDS = (
     ("gate", "linear_euler", 9, 1),
     ("gate", "linear_euler", 9, 4),
 )
-UNSEEN = (("idle", "midpoint", 8),)
-"""A limp sheet that whirls."""
+UNSEEN = (("idle", "midpoint", 8), ("stuck", "linear_euler", 225), ("skin", "linear_euler", 151))
+"""A limp sheet that whirls, and two that buckle."""
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)
