@@ -21,7 +21,7 @@ LOST_REBOUNDS = (
     ("gate", "linear_euler", 9, 4),
 )
 UNSEEN = (("idle", "midpoint", 8), ("stuck", "linear_euler", 225), ("skin", "linear_euler", 151))
-"""A limp sheet that whirls, and two that buckle."""
+"""A limp sheet that whirls, one driven against a stop, and one with the smooth skin in a nip."""
 
 
 @pytest.mark.parametrize("kind", invalid.KINDS)

@@ -18,7 +18,7 @@ from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, spins
 from diffeed.contact.features import features
 from diffeed.contact.kept import Kept, keep, keep_all
-from diffeed.contact.near import circles_near, guides_near
+from diffeed.contact.near import Closest, circles_near, guides_near
 from diffeed.contact.roller_pairs import roller_gaps
 from diffeed.contact.watched import Watched, approach, speeds, used_up, watch, ways
 from diffeed.model.arrays import Model, Path
@@ -112,8 +112,14 @@ def touching_now(model: Model, state: State) -> tuple[Kept, Array]:
         return keep_all(model), jnp.ones((), bool)
     alike, there = lax.stop_gradient(model), lax.stop_gradient(state)
     at, world = pose(alike, there), bodies(alike, there, there.time, there.time)
-    index, lasts, _, _ = _list(alike, at, world, None)
-    return keep(model, **index), lasts > 0.0
+    found: dict[str, tuple[Array, Array]] = {}
+    first = jnp.full((), jnp.inf, there.x.dtype)  # the smallest gap that is left out
+    for family, one in _families(alike, at, world).items():
+        bears = one.near.weight > 0  # else it does not touch, behind the face or not
+        chosen, others = _first_few(jnp.where(bears, one.near.gap, jnp.inf).ravel(), one.most)
+        found[family] = one.pairs(chosen)
+        first = jnp.minimum(jnp.minimum(first, one.free), jnp.min(others))
+    return keep(model, **_index(found)), first > 0.0
 
 
 def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
@@ -126,7 +132,7 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
     index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
     lasts, watched, free, apart = never, {}, never, never
     if size.listed:
-        index, lasts, watched, free = _list(model, at, world, (span, pace))
+        index, lasts, watched, free = _list(model, at, world, span, pace)
     if size.partners is not None:
         index["partners"], apart = _partners(model, world, size.partners)
         reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
@@ -134,72 +140,79 @@ def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | 
     return index, (lasts, watched, free, apart, at, world, state.travel, pace, moved)
 
 
-def _list(
-    model: Model, at: Pose, world: Bodies, ahead: tuple[Array, Array] | None
-) -> tuple[dict[str, Array | None], Array, dict[str, Watched], Array]:
-    """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be.
+class Family(NamedTuple):
+    """Bodies of a family that are looked at, against every feature, and how many pairs of them may be listed."""
 
-    `ahead` is a time (s) and the speed of the fastest surface in it (mm/s). None: pairs are listed by their gaps alone, and last
-    for as long as no other touches.
-    """
-    x, y = nodes(model, at)
-    reach, furthest = _reaches(model, at, world, ahead)
-    close, size = _close_by(model, world, x, y), capacities(model)
+    near: Closest
+    looked_at: Kept
+    most: int
+    which: Array | None  # of the family; None: all of it
+    free: Array | float  # mm: no body that is not looked at is nearer
+
+    def pairs(self, chosen: Array) -> tuple[Array, Array]:
+        """Places in (bodies, features), one after the other -> which body of the family, and which feature."""
+        body, feature = chosen // self.near.gap.shape[1], chosen % self.near.gap.shape[1]
+        return body if self.which is None else self.which[body], feature
+
+
+def _families(model: Model, at: Pose, world: Bodies) -> dict[str, Family]:
+    """Those of which pairs may be listed."""
+    close, size = _close_by(model, world, *nodes(model, at)), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     rows = features(model, at)
-    families = (
+    near = (
         lambda: circles_near(rows, world, looked_at),
         lambda: guides_near(rows, world, looked_at._replace(arcs=None)),
         lambda: guides_near(rows, world, looked_at._replace(lines=None)),
     )
-    index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
-    watched, feature_of = {}, []
-    lasts = free = jnp.full((), jnp.inf, x.dtype)
-    for near, family, count, of in zip(families, FAMILIES, size[:3], close, strict=True):
-        if not count:
-            continue
-        closest = near()
-        seen = watch(model, at, world, closest, looked_at, family)
-        if ahead is None:  # what bears nothing where it is does not touch
-            seen = seen._replace(gap=jnp.where(closest.weight > 0, closest.gap, jnp.inf))
-        body, feature, watched[family], last = _most_urgent(seen, reach(seen, family), count)
-        index[family] = body if of is None else of.which[body]
-        feature_of.append(feature)
-        lasts = jnp.minimum(lasts, last)
-        free = free if of is None else jnp.minimum(free, of.free)
-    lasts = jnp.minimum(lasts, free / furthest)
-    return index | {"feature": jnp.concatenate(feature_of)}, lasts, watched, free
+    return {
+        family: Family(closest(), looked_at, count, *((None, np.inf) if of is None else of))
+        for family, closest, count, of in zip(FAMILIES, near, size[:3], close, strict=True)
+        if count
+    }
 
 
-def _reaches(model: Model, at: Pose, world: Bodies, ahead: tuple[Array, Array] | None) -> tuple[Any, Array | float]:
-    """mm by which gaps may shrink: of the pairs of a family, and any gap at most."""
-    if ahead is None:
-        return lambda _seen, _family: REACH, REACH
-    span, pace = ahead
+def _index(pairs: dict[str, tuple[Array, Array]]) -> dict[str, Array | None]:
+    """Which body and which feature, of each family -> what `keep` asks for."""
+    bodies_of: dict[str, Array | None] = dict.fromkeys(FAMILIES)
+    bodies_of |= {family: body for family, (body, _) in pairs.items()}
+    return bodies_of | {"feature": jnp.concatenate([feature for _, feature in pairs.values()])}
+
+
+def _list(
+    model: Model, at: Pose, world: Bodies, span: Array, pace: Array
+) -> tuple[dict[str, Array | None], Array, dict[str, Watched], Array]:
+    """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
     velocity, motions, fastest = node_velocities(model, at), speeds(world), _fastest_node(model, at) + pace
-
-    def reach(seen: Watched, family: str) -> Array:
+    unasked = REACH + TURNING * span * fastest
+    listed: dict[str, tuple[Array, Array]] = {}
+    watched: dict[str, Watched] = {}
+    lasts = free = jnp.full((), jnp.inf, velocity[0].dtype)
+    for family, one in _families(model, at, world).items():
+        seen = watch(model, at, world, one.near, one.looked_at, family)
         closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
-        return REACH + TURNING * span * fastest + MARGIN * span * closing
+        chosen, watched[family], last = _most_urgent(seen, unasked + MARGIN * span * closing, one.most)
+        listed[family] = one.pairs(chosen)
+        lasts, free = jnp.minimum(lasts, last), jnp.minimum(free, one.free)
+    lasts = jnp.minimum(lasts, free / (REACH + MARGIN * span * fastest))
+    return _index(listed), lasts, watched, free
 
-    return reach, REACH + MARGIN * span * fastest
+
+def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Watched, Array]:
+    """Places of the pairs whose gaps are soonest used up; all others, and how long they last."""
+    chosen, others = _first_few((seen.gap / reach).ravel(), count)
+    rest = seen._replace(gap=seen.gap.ravel().at[chosen].set(jnp.inf).reshape(seen.gap.shape))
+    return chosen, rest, jnp.min(others)
 
 
-def _most_urgent(seen: Watched, reach: Array | float, count: int) -> tuple[Array, Array, Watched, Array]:
-    """Bodies and features, (count,) each, of the pairs whose gaps are soonest used up; all others, and how long they last."""
-    urgency, n_features = (seen.gap / reach).ravel(), seen.gap.shape[1]
-    if count >= urgency.shape[0]:
-        chosen = jnp.arange(urgency.shape[0], dtype=jnp.int32)
-        last = jnp.full((), jnp.inf, urgency.dtype)
-        rest = seen._replace(gap=jnp.full_like(seen.gap, jnp.inf))
-    else:
-        # In single precision the compiler looks for the first few, in double it sorts all; which of two about equal ones is
-        # taken does not matter.
-        chosen = lax.top_k(-urgency.astype(jnp.float32), count)[1]
-        gap = seen.gap.ravel().at[chosen].set(jnp.inf)
-        rest, last = seen._replace(gap=gap.reshape(seen.gap.shape)), jnp.min(urgency.at[chosen].set(jnp.inf))
-    body, feature = chosen // n_features, chosen % n_features
-    return body, feature, rest, last
+def _first_few(values: Array, count: int) -> tuple[Array, Array]:
+    """Places of the smallest values, (count,) or all, and the values with those at infinity."""
+    if count >= values.shape[0]:
+        return jnp.arange(values.shape[0], dtype=jnp.int32), jnp.full_like(values, jnp.inf)
+    # In single precision the compiler looks for the first few, in double it sorts all; which of two about equal ones is
+    # taken does not matter.
+    chosen = lax.top_k(-values.astype(jnp.float32), count)[1]
+    return chosen, values.at[chosen].set(jnp.inf)
 
 
 def _partners(model: Model, world: Bodies, count: int) -> tuple[Array, Array]:

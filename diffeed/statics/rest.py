@@ -176,15 +176,14 @@ def _balance_and_slope_move(primals: tuple[Freed], tangents: tuple[Freed]) -> tu
     move = _move(found, freed, freed_dot)
 
     def slope(freed: Freed, rest: Rest) -> Array:
-        kept = _look(freed, rest)[0]
-        return dense(jax.jacfwd(lambda r: _imbalance(freed, r, kept))(rest))
+        return dense(jax.jacfwd(lambda r: _imbalance(freed, r, keep_all(freed.model)))(rest))
 
     _, slope_dot = jax.jvp(slope, (freed, found.rest), (freed_dot, move))
     return found, Found(move, jnp.zeros_like(found.found), slope_dot)
 
 
 def _move(found: Found, freed: Freed, freed_dot: Freed) -> Rest:
-    _, change = jax.jvp(lambda f: _imbalance(f, found.rest, _look(f, found.rest)[0]), (freed,), (freed_dot,))
+    _, change = jax.jvp(lambda f: _imbalance(f, found.rest, keep_all(f.model)), (freed,), (freed_dot,))
     move = jnp.linalg.solve(found.slope, -jnp.concatenate(change))
     return as_rest(move, found.rest)
 
