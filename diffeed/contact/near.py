@@ -127,8 +127,14 @@ def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closes
     return _end_circles(rows, places, near, motion)
 
 
+def felt_points(rows: tuple[Features, ...]) -> tuple[Array, Array]:
+    """The points of the sheets that guides feel, like the rows: the nodes, or the middles of the smooth skin's pieces and the
+    sheets' ends."""
+    return _points(rows, _samples(rows))
+
+
 def _samples(rows: tuple[Features, ...]) -> tuple[Place, ...]:
-    """The points of the sheets that guides feel: the nodes, or the middles of the smooth skin's pieces and the sheets' ends."""
+    """Where those points are on the bars."""
     if len(rows) == 1:
         (row,) = rows
         arm = row.own.end * row.own.half_length

@@ -9,9 +9,10 @@ from jax import Array
 from diffeed.chain.kinematics import Pose, nodes
 from diffeed.contact.bodies import Bodies
 from diffeed.contact.features import features
-from diffeed.contact.kept import Kept
-from diffeed.contact.near import Closest, hulls_near
-from diffeed.model.arrays import Model
+from diffeed.contact.kept import Kept, kept_family
+from diffeed.contact.near import Closest, felt_points, hulls_near
+from diffeed.model.arrays import Lines, Model
+from diffeed.pair.shapes import JOIN_WINDOW, point_line
 
 
 class Watched(NamedTuple):
@@ -67,14 +68,32 @@ def watch(model: Model, at: Pose, world: Bodies, near: Closest, kept: Kept, fami
         return Watched(gap, nx, ny, jnp.ones(gap.shape, bool), body, None, 0.0)
     guides, place = (kept.lines, world.lines) if family == "lines" else (kept.arcs, world.arcs)
     assert guides is not None
+    felt, far, nx, ny = near.weight > 0, near.gap, near.nx, near.ny
     # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-    felt = near.weight > 0
-    gap = near.gap - jnp.where(felt, 0.0, guides.faces.depth)
+    gap, straight = far - jnp.where(felt, 0.0, guides.faces.depth), felt
+    if family == "lines":
+        past, out_x, out_y = _past_joined_ends(model, at, kept_family(world.lines, index))
+        better = ~felt & (past > gap)
+        gap, far, nx, ny = (jnp.where(better, *v) for v in ((past, gap), (past, far), (out_x, nx), (out_y, ny)))
+        straight |= better
     x, y = nodes(model, at)
-    arm = x[None, :] - near.nx * near.gap - place.x[body], y[None, :] - near.ny * near.gap - place.y[body]
+    arm = x[None, :] - nx * far - place.x[body], y[None, :] - ny * far - place.y[body]
     # A way along the inside of an arc of radius R leads outwards by its square over 2 R, twice that from half as far out.
     bend = 0.0 if kept.arcs is None or family == "lines" else jnp.maximum(kept.arcs.side, 0.0) / kept.arcs.radius
-    return Watched(gap, near.nx, near.ny, felt, body, arm, bend)
+    return Watched(gap, nx, ny, straight, body, arm, bend)
+
+
+def _past_joined_ends(model: Model, at: Pose, lines: Lines) -> tuple[Array, Array, Array]:
+    """How far beyond the ends that another guide takes over points of the sheets are, (lines, features), and which way leads
+    out: until they are back at the end a line is not felt, in front of it or behind."""
+    px, py = felt_points(features(model, at))
+    beyond = point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length).beyond
+    first, second = (
+        jnp.where(joined > 0, past - JOIN_WINDOW, -jnp.inf)
+        for past, joined in zip(beyond, lines.faces.joined, strict=True)
+    )
+    out = jnp.where(first > second, -1.0, 1.0)
+    return jnp.maximum(first, second), out * lines.tx, out * lines.ty
 
 
 def approach(model: Model, seen: Watched, moved: tuple[Array, Array], bodies_moved: Moved | None) -> Array:
