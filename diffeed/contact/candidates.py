@@ -21,7 +21,7 @@ from diffeed.contact.kept import Kept, keep, keep_all
 from diffeed.contact.near import Closest, circles_near, guides_near
 from diffeed.contact.roller_pairs import roller_gaps
 from diffeed.contact.watched import Watched, approach, speeds, used_up, watch, ways
-from diffeed.model.arrays import Model, Path
+from diffeed.model.arrays import Model
 
 REACH = 0.5
 """mm by which any gap may shrink beyond what its present speed explains."""
@@ -276,8 +276,14 @@ def _fastest_surface(model: Model, state: State, span: Array) -> Array:
 
 
 def _fastest_guide(model: Model) -> Array:
-    """A bound on the speed of guides and rollers on their paths, mm/s."""
-    return sum((_path_speed(path) for path in model.paths.values()), jnp.zeros(()))
+    """A bound on the speed of guides and rollers on their paths, mm/s: shift, and turn about a pivot at up to `SIZE` mm."""
+    path = model.movements.path
+    span = jnp.diff(path.times)
+    x, y, turn = (
+        jnp.max(jnp.abs(jnp.diff(v)) / jnp.where(span > 0, span, jnp.inf), axis=1, initial=0.0)
+        for v in (path.x, path.y, path.angle)
+    )
+    return jnp.max(x + y + SIZE * turn, initial=0.0)
 
 
 def _run_up(model: Model, state: State, span: Array) -> Array:
@@ -285,16 +291,6 @@ def _run_up(model: Model, state: State, span: Array) -> Array:
     r = model.rollers
     push = (jnp.abs(r.preload) + r.spring * jnp.abs(state.travel)) / r.mass
     return MARGIN * span**2 * jnp.max(push, initial=0.0)
-
-
-def _path_speed(path: Path) -> Array:
-    """A bound on the speed of a moving guide: shift, and turn about its pivot at up to `SIZE` mm."""
-    span = jnp.diff(path.times)
-    rate = [
-        jnp.max(jnp.abs(jnp.diff(v)) / jnp.where(span > 0, span, jnp.inf), initial=0.0)
-        for v in (path.x, path.y, path.angle)
-    ]
-    return rate[0] + rate[1] + SIZE * rate[2]
 
 
 def check_reach(model: Model, found: Candidates, after: State, at: Pose, world: Bodies) -> Array:

@@ -11,21 +11,24 @@ AT_CORNER = 256
 
 
 def interpolate(times: Array, values: Array, time: Array) -> tuple[Array, Array]:
-    """Value and slope of one profile, (points,) each, at a time; constant outside. At a corner the slope is that after it.
+    """Value and slope of a profile, (points,), at a time, or of each of several, (profiles, points); constant outside. At a
+    corner the slope is that after it.
 
     The derivative of the value is there the mean of both sides: a step that ends at a corner stands for the time on either side
     of it, and that of one side alone would count for both.
     """
-    if times.shape[0] == 1:
-        return values[0], jnp.zeros_like(values[0])
+    if times.shape[-1] == 1:
+        return values[..., 0], jnp.zeros_like(values[..., 0])
+    if times.ndim > 1:
+        return jax.vmap(interpolate, in_axes=(0, 0, None))(times, values, time)
     return _value(times, values, time), _piece(times, values, time)[1]
 
 
 def all_times(model: Model) -> list[Array]:
-    """(parts, points) s of the drives and of every movement. Shorter profiles among drives repeat their last point."""
-    paths = [*model.paths.values(), *(hold.path for hold in model.holds if hold.path is not None)]
-    drives = [drives.times for drives in model.rollers.drives if drives.times.shape[1] > 1]
-    return [*drives, *(path.times[None] for path in paths)]
+    """(parts, points) s of the drives and of every movement. Shorter profiles among several repeat their last point."""
+    several = [*(drives.times for drives in model.rollers.drives), model.movements.path.times]
+    held = [hold.path.times[None] for hold in model.holds if hold.path is not None]
+    return [times for times in (*several, *held) if times.shape[0] and times.shape[1] > 1]
 
 
 def in_order(model: Model) -> Array:

@@ -6,7 +6,7 @@ from jax import Array
 from diffeed.chain.kinematics import Pose
 from diffeed.chain.state import State
 from diffeed.chain.system import BarTerms, Clamped
-from diffeed.contact.bodies import shift_at
+from diffeed.contact.movement import shift_at
 from diffeed.forces.terms import Step, bar_terms, on_bar, summed
 from diffeed.model.arrays import Hold, Model
 

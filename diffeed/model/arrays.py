@@ -131,7 +131,7 @@ class Circles:
 
 @record
 class Path:
-    """A prescribed rigid movement, piecewise linear; (points,)."""
+    """A prescribed rigid movement, piecewise linear; (points,), or several, (moved, points)."""
 
     times: Any
     x: Any
@@ -139,6 +139,16 @@ class Path:
     angle: Any  # rad
     pivot_x: Any
     pivot_y: Any
+
+
+@record
+class Movements:
+    """Of moving guides and rollers. Shorter ones repeat their last point."""
+
+    path: Path  # (moved, points)
+    parts: tuple[tuple[str, int], ...] = word(
+        doc="(family, index) of each; a circle's index counts rollers first", type=tuple
+    )
 
 
 @record
@@ -177,7 +187,7 @@ class Model:
     arcs: Arcs
     surface: Surface  # of circles, lines and arcs, in that order
     pair_surface: Surface  # roller against roller
-    paths: dict[str, Path]  # of moving guides and rollers, by "family.index"
+    movements: Movements
     holds: tuple[Hold, ...]
     pushes: tuple[Push, ...]
     gravity: Any

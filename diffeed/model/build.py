@@ -4,7 +4,7 @@ from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, Scene
 from diffeed.model.arrays import Model
 from diffeed.model.guides import circles_of, lines_and_arcs
 from diffeed.model.layout import Layout
-from diffeed.model.movements import paths_of
+from diffeed.model.movements import movements_of
 from diffeed.model.rollers import rollers_of
 from diffeed.model.rows import named
 from diffeed.model.sheets import bars_of, hold_of, joint_stiffness, per_bar, push_of
@@ -19,7 +19,8 @@ def build(scene: Scene) -> Model:
     rollers, roller_parts = rollers_of(scene)
     lines, arcs = named(scene.guides, LineGuide), named(scene.guides, ArcGuide)
     circle_guides = named(scene.guides, CircleGuide)
-    line_set, arc_set = lines_and_arcs(lines, arcs)
+    movements = movements_of(roller_parts, circle_guides, lines, arcs)
+    line_set, arc_set = lines_and_arcs(lines, arcs, movements)
     circles, circle_owners = circles_of(rollers, roller_parts, circle_guides, (lines, line_set), (arcs, arc_set))
     owners = circle_owners + lines + arcs
     pairs = tuple((i, j) for i in range(rollers.n_movable) for j in range(i + 1, rollers.n))
@@ -31,7 +32,7 @@ def build(scene: Scene) -> Model:
         arcs=arc_set,
         surface=surface_of(scene, owners),
         pair_surface=pair_surface(scene, roller_parts, pairs),
-        paths=paths_of(roller_parts, circle_guides, lines, arcs),
+        movements=movements,
         holds=tuple(hold_of(scene, layout, scene.clamps[name]) for name in sorted(scene.clamps)),
         pushes=tuple(push_of(scene, layout, name) for name in sorted(scene.loads)),
         gravity=scene.gravity,

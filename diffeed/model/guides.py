@@ -2,15 +2,14 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from diffeed.input.packing import stacked
-from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, Motion
-from diffeed.model.arrays import Arcs, Circles, Lines, Rollers
-from diffeed.model.movements import path_of
+from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide
+from diffeed.model.arrays import Arcs, Circles, Lines, Movements, Rollers
+from diffeed.model.movements import move_alike
 from diffeed.model.rows import columns
 from diffeed.pair.shapes import Face
 
@@ -18,8 +17,11 @@ JOIN_TOLERANCE = 1e-3
 """mm: guide ends closer than this are one end."""
 
 
-def lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, ArcGuide]]) -> tuple[Lines, Arcs]:
-    """Both families at once, for the end of a line may be that of an arc."""
+def lines_and_arcs(
+    lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, ArcGuide]], movements: Movements
+) -> tuple[Lines, Arcs]:
+    """Both families at once, for the end of a line may be that of an arc. A diverter that only starts flush with its neighbour
+    leaves an end open."""
     (sx, sy), (ex, ey) = columns([g.start for _, g in lines]), columns([g.end for _, g in lines])
     length = jnp.sqrt((ex - sx) ** 2 + (ey - sy) ** 2)
     tx, ty = (ex - sx) / length, (ey - sy) / length
@@ -32,9 +34,9 @@ def lines_and_arcs(lines: list[tuple[str, LineGuide]], arcs: list[tuple[str, Arc
     ends = [(sx, sy), (ex, ey)] + [(cx + radius * jnp.cos(a), cy + radius * jnp.sin(a)) for a in (low, high)]
     # A full turn has no ends: nothing is fitted to them, and nothing fades there.
     closed = high - low > 2.0 * jnp.pi - JOIN_TOLERANCE / radius
-    motions = [g.motion for _, g in lines] * 2 + [g.motion for _, g in arcs] * 2
+    owners = [("lines", k) for k in range(len(lines))] * 2 + [("arcs", k) for k in range(len(arcs))] * 2
     is_end = jnp.concatenate([jnp.ones((2 * len(lines),), bool), ~closed, ~closed])
-    joined = _joined(ends, _move_alike(motions) & is_end[:, None] & is_end[None, :])
+    joined = _joined(ends, move_alike(movements, owners) & is_end[:, None] & is_end[None, :])
     line_tip, arc_tip = (stacked([g.tip_radius for _, g in guides]) for guides in (lines, arcs))
     normals = [(-ty, tx)] * 2 + [(-side * jnp.cos(a), -side * jnp.sin(a)) for a in (low, high)]
 
@@ -65,24 +67,6 @@ def _joined(ends: list[tuple[Array, Array]], may: Array) -> list[Array]:
     near = (x[:, None] - x[None, :]) ** 2 + (y[:, None] - y[None, :]) ** 2 < JOIN_TOLERANCE**2
     flags = jnp.any(near & may & ~np.eye(n, dtype=bool), axis=1).astype(x.dtype)
     return jnp.split(flags, np.cumsum(counts)[:-1].tolist())
-
-
-def _move_alike(motions: list[Motion | None]) -> Array:
-    """(ends, ends) bool: whether two guides stay together, at rest or by the same movement, number for number. A diverter that
-    only starts flush with its neighbour leaves an end open."""
-    still = np.array([m is None for m in motions], dtype=bool)
-    alike = jnp.asarray(still[:, None] & still[None, :])
-    # All movements of a length at once: pair by pair, thirty swinging guides compiled for minutes.
-    numbers = {
-        k: jnp.concatenate([jnp.ravel(v) for v in jax.tree.leaves(path_of(m))])
-        for k, m in enumerate(motions)
-        if m is not None
-    }
-    for size in sorted({row.shape[0] for row in numbers.values()}):
-        which = np.array([k for k, row in numbers.items() if row.shape[0] == size])
-        rows = jnp.stack([numbers[k] for k in which])
-        alike = alike.at[np.ix_(which, which)].set(jnp.all(rows[:, None] == rows[None, :], axis=2))
-    return alike
 
 
 def circles_of(

@@ -9,7 +9,7 @@ from jax import Array
 from diffeed.input.packing import stacked
 from diffeed.input.parts import FixedRoller, MovableRoller, Profile, Scene
 from diffeed.model.arrays import Drives, Rollers
-from diffeed.model.rows import columns, named
+from diffeed.model.rows import columns, named, padded
 from diffeed.pair.law import NEWTON
 
 
@@ -71,12 +71,8 @@ def _drives(rollers: list[Any], radius: Array) -> Drives:
     else:
         both = [(g.times, g.values) if isinstance(g, Profile) else (jnp.zeros((1,)), stacked([g])) for g in given]
         points = max(t.shape[0] for t, _ in both)
-        times, values = (jnp.stack([_pad(p[k], points) for p in both]) for k in (0, 1))
+        times, values = (jnp.stack([padded(p[k], points) for p in both]) for k in (0, 1))
     return Drives(
         times=jnp.asarray(times, values.dtype),
         values=jnp.where(of_surface[:, None], values / radius[:, None], values),
     )
-
-
-def _pad(values: Array, points: int) -> Array:
-    return jnp.concatenate([values, jnp.broadcast_to(values[-1], (points - values.shape[0],))])

@@ -10,9 +10,10 @@ from jax import Array
 from diffeed.base.smooth import divide
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
-from diffeed.contact.bodies import Bodies, bodies, shift_at, spins
+from diffeed.contact.bodies import Bodies, bodies, spins
 from diffeed.contact.features import shared, to_bars
 from diffeed.contact.kept import Kept, by_roller, keep_all
+from diffeed.contact.movement import shift_at
 from diffeed.contact.sweep import Pairs, heading
 from diffeed.forces.contacts import Contacts, contacts
 from diffeed.model.arrays import Model
@@ -148,13 +149,16 @@ def guide_track(model: Model, state: State, touching: Contacts) -> GuideTrack:
         )
         gap = gaps_to_guides(model, gaps_to_bodies(model, touching.sheets))
     shift, turn = jnp.zeros((len(names), 2)), jnp.zeros((len(names),))
-    for key, path in model.paths.items():
-        family, k = key.split(".")
-        owners = {"lines": model.lines.names, "arcs": model.arcs.names, "circles": model.circle_names}[family]
-        if owners[int(k)] in names and not (family == "circles" and int(k) < model.rollers.n):
-            at_time, row = shift_at(path, state.time), names.index(owners[int(k)])
-            shift = shift.at[row].set(jnp.stack([at_time.dx, at_time.dy]))
-            turn = turn.at[row].set(at_time.angle)
+    owners = {"lines": model.lines.names, "arcs": model.arcs.names, "circles": model.circle_names}
+    moving = {
+        names.index(owners[family][k]): m
+        for m, (family, k) in enumerate(model.movements.parts)
+        if family != "circles" or k >= model.rollers.n
+    }
+    if moving:
+        rows, which, now = np.array([*moving]), np.array([*moving.values()]), shift_at(model.movements.path, state.time)
+        shift = shift.at[rows].set(jnp.stack([now.dx, now.dy], axis=1)[which])
+        turn = turn.at[rows].set(now.angle[which])
     return GuideTrack(displacement=shift, rotation=turn, force=force, friction=friction, gap=gap)
 
 

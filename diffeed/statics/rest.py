@@ -47,8 +47,8 @@ def at_rest(model: Model) -> Model:
         return replace(surface, damping=None)
 
     def frozen(path: Path) -> Path:
-        at = {k: interpolate(path.times, getattr(path, k), jnp.zeros(()))[0][None] for k in ("x", "y", "angle")}
-        return replace(path, times=jnp.zeros((1,)), **at)
+        at = {k: interpolate(path.times, getattr(path, k), jnp.zeros(()))[0][:, None] for k in ("x", "y", "angle")}
+        return replace(path, times=jnp.zeros((path.times.shape[0], 1)), **at)
 
     def stopped(drives: Drives) -> Drives:
         return Drives(times=drives.times, values=jnp.zeros_like(drives.values))
@@ -65,7 +65,7 @@ def at_rest(model: Model) -> Model:
         ),
         surface=quiet(model.surface),
         pair_surface=quiet(model.pair_surface),
-        paths={k: frozen(p) for k, p in model.paths.items()},
+        movements=replace(model.movements, path=frozen(model.movements.path)),
         wall_damping=jnp.zeros_like(model.wall_damping),
     )
 
