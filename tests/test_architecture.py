@@ -19,7 +19,7 @@ RANKS = """
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
     chain: state system sums kinematics dense elimination solve
-    contact: features profile bodies kept near sweep hits gained roller_pairs crossing stick watched candidates
+    contact: features profile movement bodies kept near sweep hits gained roller_pairs crossing stick watched candidates
     forces: terms sheet loads clamps contacts rollers assemble landing energy
     faults: causes tally balance overshoot rebounds judge
     steppers: advance astray linear_euler extrapolated_euler runge_kutta midpoint

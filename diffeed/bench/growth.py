@@ -12,6 +12,7 @@ PARTS = (10, 30, 100, 300, 1000)
 SWEEP: dict[str, Sequence[float]] = {
     "bars": (20, 50, 100, 200, 500),
     "line guides": PARTS,
+    "moving guides": PARTS,
     "driven rollers": PARTS,
     "drives with movable pinches": PARTS,
     "samples": SIZES,

@@ -79,6 +79,7 @@ def _length(seconds: float) -> dict[str, Any]:
 SERIES: dict[str, Callable[[float], dict[str, Any]]] = {
     "bars": _steps(lambda n: transport(bars=n)),
     "line guides": _steps(lambda n: transport(guides=n)),
+    "moving guides": _steps(lambda n: transport(guides=n, moving=True)),
     "driven rollers": _steps(lambda n: transport(driven=n)),
     "drives with movable pinches": _steps(lambda n: transport(driven=4, nips=max(1, (n - 4) // 2))),
     "samples": _samples,

@@ -3,7 +3,7 @@
 from typing import Any
 
 from diffeed.input.check_records import make_scene
-from diffeed.input.parts import FixedRoller, LineGuide, MovableRoller, Scene, Sheet
+from diffeed.input.parts import FixedRoller, LineGuide, Motion, MovableRoller, Scene, Sheet
 
 PITCH = 100.0  # mm from nip to nip
 LENGTH, THICKNESS, RADIUS = 160.0, 0.2, 10.0
@@ -11,9 +11,11 @@ PRESSED = 0.005  # mm, of a roller on a fixed shaft into the sheet
 SPEED = 100.0  # mm/s
 
 
-def transport(bars: int = 20, guides: int = 2, driven: int = 4, nips: int = 0, duration: float = 0.05) -> Scene:
+def transport(
+    bars: int = 20, guides: int = 2, driven: int = 4, nips: int = 0, duration: float = 0.05, moving: bool = False
+) -> Scene:
     """A path of `driven` rollers on fixed shafts (in pairs, both driven), then `nips` of a drive and a movable pinch, and
-    line guides below. The sheet runs in the first of them."""
+    line guides below, which may swing away. The sheet runs in the first of them."""
     rollers: dict[str, Any] = {}
     for k in range((driven + 1) // 2):
         for name, side in (("lower", -1.0), ("upper", 1.0)):
@@ -28,7 +30,7 @@ def transport(bars: int = 20, guides: int = 2, driven: int = 4, nips: int = 0, d
     return make_scene(
         sheets={"sheet": sheet},
         rollers=rollers,
-        guides={f"guide_{k}": _guide(k) for k in range(guides)},
+        guides={f"guide_{k}": _guide(k, moving) for k in range(guides)},
         initial="given",
         duration=duration,
     )
@@ -46,5 +48,7 @@ def _pinch(k: int) -> MovableRoller:
     )  # fmt: skip
 
 
-def _guide(k: int) -> LineGuide:
-    return LineGuide(start=(PITCH * k + 12.0, -0.3), end=(PITCH * k + 88.0, -0.3))
+def _guide(k: int, moving: bool) -> LineGuide:
+    start = (PITCH * k + 12.0, -0.3)
+    swing = Motion(times=(0.0, 1.0), displacement=((0.0, 0.0), (0.0, -1.0)), rotation=(0.0, -5.0), pivot=start)
+    return LineGuide(start=start, end=(PITCH * k + 88.0, -0.3), motion=swing if moving else None)
