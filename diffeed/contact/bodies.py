@@ -63,9 +63,12 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
     circles = _move(circles, carried(shift, _of_circles(model)), ~_turns_freely(model))
     if all(family == "circles" for family, _ in movements.parts):
         return Bodies(circles, lines, arcs, None, spin)
-    of_lines, of_arcs = (_of_guides(model, family, len(g.names)) for family, g in (("lines", lines), ("arcs", arcs)))
-    lines, line_motion = _move_lines(lines, carried(shift, of_lines))
-    arcs, arc_motion = _move_arcs(arcs, carried(shift, of_arcs))
+    of_lines, of_arcs = (
+        carried(shift, movements.of((family, k) for k in range(len(guides.names))))
+        for family, guides in (("lines", lines), ("arcs", arcs))
+    )
+    lines, line_motion = _move_lines(lines, of_lines)
+    arcs, arc_motion = _move_arcs(arcs, of_arcs)
     return Bodies(circles, lines, arcs, Guides(line_motion, arc_motion), spin)
 
 
@@ -88,20 +91,11 @@ def _still(x: Array, y: Array) -> Rigid:
     return Rigid(x, y, zero, zero, zero)
 
 
-def _of_guides(model: Model, family: str, count: int) -> np.ndarray:
-    """(guides,) which movement each has; -1: none."""
-    which = np.full(count, -1)
-    for m, (of, k) in enumerate(model.movements.parts):
-        if of == family:
-            which[k] = m
-    return which
-
-
 def _of_circles(model: Model) -> np.ndarray:
     """(circles,) which movement carries each along: its own, or that of the guide of which it is a tip; -1: none."""
-    tips, parts = model.circles.tip_of, {part: m for m, part in enumerate(model.movements.parts)}
-    n = model.circles.x.shape[0] - len(tips)
-    return np.array([parts.get(part, -1) for part in (*(("circles", k) for k in range(n)), *(tip[:2] for tip in tips))])
+    tips = model.circles.tip_of
+    own = [("circles", k) for k in range(model.circles.x.shape[0] - len(tips))]
+    return model.movements.of([*own, *(tip[:2] for tip in tips)])
 
 
 def _turns_freely(model: Model) -> np.ndarray:
@@ -117,9 +111,6 @@ def arm_spins(model: Model, time: Array) -> Array | float:
     if np.all(which < 0):
         return 0.0
     return jnp.where(which >= 0, shift_at(model.movements.path, time).w[np.maximum(which, 0)], 0.0)
-
-
-# All entries are moved and a mask keeps the others: writing single entries would chain copies, which the compiler unrolls.
 
 
 def _move(rigid: Rigid, by: Carried, turns: np.ndarray | bool = True) -> Rigid:

@@ -67,5 +67,6 @@ def velocity(by: Carried, x: Array, y: Array, still: tuple[Array, Array]) -> tup
     return _chosen(by, (shift.vx - shift.w * ry, shift.vy + shift.w * rx), still)
 
 
+# All entries are moved and a mask keeps the others: writing single entries would chain copies, which the compiler unrolls.
 def _chosen(by: Carried, new: tuple[Array, Array], old: tuple[Array, Array]) -> tuple[Array, Array]:
     return jnp.where(by.mask, new[0], old[0]), jnp.where(by.mask, new[1], old[1])

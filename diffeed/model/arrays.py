@@ -4,6 +4,7 @@ Nothing of this is stored in a scene. Bars of all sheets stand in one row, sheet
 rollers (grouped by kind), circles, lines and arcs: one sweep serves them all, and a missing kind is an empty array.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -149,6 +150,11 @@ class Movements:
     parts: tuple[tuple[str, int], ...] = word(
         doc="(family, index) of each; a circle's index counts rollers first", type=tuple
     )
+
+    def of(self, parts: Iterable[tuple[str, int]]) -> np.ndarray:
+        """(parts,) which movement each has; -1: none."""
+        number = {part: m for m, part in enumerate(self.parts)}
+        return np.array([number.get(part, -1) for part in parts], int)
 
 
 @record

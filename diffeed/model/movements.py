@@ -39,7 +39,7 @@ def movements_of(rollers: list[Any], circles: list[Any], lines: list[Any], arcs:
 
 def move_alike(movements: Movements, parts: list[tuple[str, int]]) -> Array:
     """(parts, parts) bool: whether two stay together, at rest or by the same movement, number for number."""
-    which = np.array([movements.parts.index(p) if p in movements.parts else -1 for p in parts], int)
+    which = movements.of(parts)
     still = which < 0
     if np.all(still):
         return jnp.ones((len(parts), len(parts)), bool)
