@@ -3,7 +3,7 @@
 import json
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,9 +28,10 @@ WORDS = ("unit", "wanted")
 STEEP = 1e4
 """Times the objective that a gradient promises over the range of the variables: no landscape that means anything is so steep."""
 
-FEWEST, EMPTY, LITTLE = 5, 0.1, 0.01
-"""Steps; the part of what gradients promise below which they are of no use (a step that curvature spoils still changes about as
-much as was promised); and of the largest objective what must be promised to be worth a word."""
+FEWEST, MOST_OF, EMPTY, LITTLE = 5, 0.75, 0.1, 0.01
+"""Steps; the part of them that a gradient worth following leads the right way; the part of what gradients promise below which
+they are of no use (a step that curvature spoils still changes about as much as was promised); and of the largest objective what
+must be promised to be worth a word."""
 
 
 def summarise(result: Result, confirmed: Confirmation | None = None) -> dict[str, Any]:
@@ -144,31 +145,57 @@ def _print_search(console: "Console", result: Result) -> None:
             " objective over the range of the variables: do not believe it. `check` says of which variables;"
             ' search.gradient = "expected" may help.'
         )
-    steps, promised, came = _kept(result)
-    if steps >= FEWEST and promised > LITTLE * size and came < EMPTY * promised:
-        console.print(
-            f"Over {steps} steps the gradients promised changes of {promised:.3g} in all, and {came:.3g} came: they are those of"
-            " single time steps, not of the machine. `check` says of which variables; shorter steps, a step_tolerance or"
-            ' search.gradient = "expected" may help.'
-        )
+    kept = _kept(result)
+    if kept.steps >= FEWEST and kept.promised > LITTLE * size:
+        console.print(_told(kept))
     console.print(
         f"{spent.iteration} iterations, {spent.counts.simulations} simulations with {spent.counts.gradients} gradients, "
         f"{spent.seconds:.1f} s (compilation included)"
     )
 
 
-def _kept(result: Result) -> tuple[int, float, float]:
-    """Over the steps of the best starts that can be held against what came of them: how many, and by how much in all the loss
-    was to change, and did. Not where another loss came between, or another start."""
-    steps, promised, came = 0, 0.0, 0.0
+class _Kept(NamedTuple):
+    """What became of what gradients promised: over so many steps, of which so many went the way that the gradient said, by how
+    much in all the loss was to change, and did."""
+
+    steps: int
+    same_way: int
+    promised: float
+    came: float
+
+
+def _kept(result: Result) -> _Kept:
+    """Of the steps of the best starts that can be held against what came of them. Not where another loss came between, or
+    another start."""
+    pairs = []
     for line, after in pairwise(result.history):
         same = all(line[key] == after[key] for key in ("start", "stage"))
         same = same and not raises(result.problem, line["iteration"])
         # None where the run failed, and in a history of before they were kept.
         was, now, expected = np.array([line.get("loss"), after.get("loss"), line.get("promised")], float)
         if same and np.isfinite([was, now, expected]).all():
-            steps, promised, came = steps + 1, promised + abs(expected), came + abs(now - was)
-    return steps, promised, came
+            pairs.append((expected, now - was))
+    promised, came = np.array(pairs, float).reshape(-1, 2).T
+    return _Kept(
+        len(pairs), int(np.sum(promised * came > 0.0)), float(np.abs(promised).sum()), float(np.abs(came).sum())
+    )
+
+
+def _told(kept: _Kept) -> str:
+    if kept.came < EMPTY * kept.promised:
+        return (
+            f"Over {kept.steps} steps the gradients promised changes of {kept.promised:.3g} in all, and {kept.came:.3g} came:"
+            " they are those of single time steps, not of the machine. `check` says of which variables; shorter steps, a"
+            ' step_tolerance or search.gradient = "expected" may help.'
+        )
+    told = f"Of {kept.steps} steps {kept.same_way} changed what is minimised the way that their gradient said"
+    if kept.same_way >= MOST_OF * kept.steps:
+        return told + "."
+    return (
+        told
+        + ": few, so they are too long (search.learning_rate), or the gradients those of single time steps. `check` says"
+        " whether they are, and of which variables; then shorter steps or a smaller step_tolerance help."
+    )
 
 
 def _wanted(spec: Goal | Limit) -> str:

@@ -60,9 +60,13 @@ def test_adam_finds_the_preload_of_a_wanted_force():
     assert result.after.goals[0, 0] == pytest.approx(4.0, abs=0.02)
     assert result.reason
     assert result.progress.counts.gradients == result.progress.iteration
-    steps, promised, came = _kept(result)  # a parabola: what is promised is up to twice what comes on the way down
-    assert steps > 5
-    assert 0.3 < came / promised < 1.5
+    kept = _kept(result)  # a parabola: what is promised is up to twice what comes on the way down
+    assert kept.steps > 5
+    assert 0.3 < kept.came / kept.promised < 1.5
+    assert kept.same_way >= 0.75 * kept.steps
+    assert f"Of {kept.steps} steps {kept.same_way} changed what is minimised the way that their gradient said." in told(
+        result
+    )
     assert "promised" not in told(result)
 
 
@@ -431,6 +435,22 @@ def test_gradients_that_keep_no_promise_are_told():
     assert "promised" not in told(result, [line | {"loss": None} for line in history(0.05)])
     old = [{k: v for k, v in line.items() if k not in ("loss", "promised")} for line in history(0.05)]
     assert "promised" not in told(result, old)
+
+
+def test_gradients_that_lead_the_wrong_way_are_told():
+    """Every second step of a loss that goes up and down, while each gradient said down; and all of one that falls."""
+    result = design(problem_of(search={"iterations": 1}))
+
+    def history(losses):
+        return [
+            result.history[0] | {"iteration": k + 1, "loss": loss, "promised": -1.0} for k, loss in enumerate(losses)
+        ]
+
+    few = "Of 6 steps 3 changed what is minimised the way that their gradient said: few,"
+    assert few in told(result, history([2.0, 1.5, 2.0, 1.5, 2.0, 1.5, 2.0]))
+    falls = told(result, history([2.0, 1.8, 1.6, 1.4, 1.2, 1.0, 0.8]))
+    assert "Of 6 steps 6 changed what is minimised the way that their gradient said." in falls
+    assert "gradient said" not in told(result, history([2.0, 1.5, 2.0, 1.5, 2.0])), "four steps tell nothing"
 
 
 @pytest.mark.long
