@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         Sheet,
         SinglePrecision,
     )
-    from diffeed.input.paths import get, numbers, put, unit
+    from diffeed.input.paths import PathError, get, numbers, put, unit
     from diffeed.input.remarks import remarks
     from diffeed.input.scene_file import load_scene, read_scene, save_scene, scene_text, shipped_scenes
     from diffeed.input.stacking import stack
@@ -64,6 +64,7 @@ __all__ = [
     "Load",
     "Motion",
     "MovableRoller",
+    "PathError",
     "Profile",
     "Scene",
     "SceneError",
@@ -122,7 +123,7 @@ _MODULES = {
         "Sheet",
         "SinglePrecision",
     ),
-    "input.paths": ("get", "numbers", "put", "unit"),
+    "input.paths": ("PathError", "get", "numbers", "put", "unit"),
     "input.remarks": ("remarks",),
     "run.rollout": ("simulate",),
     "input.scene_file": ("load_scene", "read_scene", "save_scene", "scene_text", "shipped_scenes"),
@@ -150,4 +151,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted({*__all__, "plot", "player", *(name for name in globals() if name.startswith("__"))})

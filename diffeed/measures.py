@@ -5,7 +5,6 @@ run, `outcome` is the same judgement in numbers. What must be seen in every step
 `trajectory.observed`: ask `simulate` for it with `observe=(...)`.
 """
 
-from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import jax
@@ -13,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.names import hint
-from diffeed.base.words import quoted
+from diffeed.base.names import known_name
 from diffeed.input.parts import Contact, Scene, normalise
 from diffeed.model.arrays import Model
 from diffeed.model.build import build
@@ -112,19 +110,14 @@ def arrival(scene: Scene, trajectory: Trajectory, sheet: str, sensor: str, edge:
     Raises ValueError for a name that the scene has not, and for an edge other than "lead" and "tail".
     """
     seen = _seen(trajectory, "arrivals", "arrival")
-    _known("sheet", sheet, scene.sheets)
-    _known("sensor", sensor, scene.sensors)
-    _known("edge", edge, EDGES)
+    known_name("sheet", sheet, scene.sheets)
+    known_name("sensor", sensor, scene.sensors)
+    known_name("edge", edge, EDGES)
     return seen[sheet][sensor][edge]
 
 
-def _known(kind: str, name: str, names: Collection[str]) -> None:
-    if name not in names:
-        raise ValueError(f"no {kind} named {quoted(name)}{hint(name, names)}")
-
-
 def progress(scene: Scene, trajectory: Trajectory) -> dict[str, Array]:
-    """Distance fed by driven rollers over what they turned, per sheet: 1 for ideal feeding. Needs observe=("feed",)."""
+    """How far each sheet has moved under its driven rollers, over what they turned: 1 if none slips. Needs observe=("feed",)."""
     feed = _seen(trajectory, "feed", "progress")
     return {name: f.driven / jnp.where(f.commanded == 0, 1.0, f.commanded) for name, f in feed.items()}
 
@@ -152,9 +145,9 @@ def attack_angle(scene: Scene, trajectory: Trajectory, part: str, sheet: str | N
     scene = normalise(scene)
     model = _static_model(scene)
     names = model.body_names
-    _known("roller or guide", part, set(names))
+    known_name("roller or guide", part, set(names))
     sheet = model.layout.names[0] if sheet is None else sheet
-    _known("sheet", sheet, model.layout.names)
+    known_name("sheet", sheet, model.layout.names)
     k = model.layout.names.index(sheet)
     feature, rows = model.layout.starts[k] + k, np.flatnonzero(np.array(names) == part)
     gaps, into, _ = (v[:, rows, feature] for v in approach(scene, trajectory.states))

@@ -1,6 +1,7 @@
 """Pictures for print, one function each. Every function draws into `ax` (or a new figure) and returns the axes.
 
-Nothing is shown or saved. Colours are safe for the colour-blind; lines also differ in dash, for black and white print.
+Nothing is shown or saved. Legends stand beside the curves: make figures of your own with `layout="constrained"`. Colours are
+safe for the colour-blind; lines also differ in dash, for black and white print.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,6 +11,7 @@ import jax
 import numpy as np
 
 from diffeed import plot_style
+from diffeed.base.names import known_name
 from diffeed.input.parts import Scene
 from diffeed.model.rollers import is_driven
 from diffeed.show import outlines, plot_machine
@@ -67,6 +69,8 @@ def paths(
     plot_machine.draw_parts(ax, scene, trajectory, 0, faint=True)
     nodes = outlines.vector(trajectory.sheets[_sheet_name(scene, sheet)].nodes)
     for i, bar in enumerate(bars):
+        if not 0 <= bar < nodes.shape[1] - 1:
+            raise ValueError(f"bars must be from 0 to {nodes.shape[1] - 2}, but one is {bar}")
         center, style = 0.5 * (nodes[:, bar] + nodes[:, bar + 1]), plot_style.line(i)
         end = " (lead)" if bar == 0 else " (tail)" if bar == nodes.shape[1] - 2 else ""
         ax.plot(*center.T, label=f"centre of bar {bar}{end}", zorder=5, **style)
@@ -116,7 +120,7 @@ def _curves(ax: "Axes", trajectory: Any, quantity: str, title: str) -> "Axes":
     time = outlines.time(trajectory)
     ax.set_xlim(time[0], time[-1])
     ax.axhline(0.0, color=plot_style.FAINT, linewidth=0.8, zorder=0)
-    plot_style.label(ax, "Time (s)", quantity, title)
+    plot_style.label(ax, "Time (s)", quantity, f"{title}, at {len(time)} moments")  # a report's peaks are of every step
     plot_style.legend_beside(ax)
     return ax
 
@@ -124,10 +128,18 @@ def _curves(ax: "Axes", trajectory: Any, quantity: str, title: str) -> "Axes":
 def _chosen_frames(trajectory: Any, frames: Iterable[int] | None) -> list[int]:
     if trajectory is None:
         return [0]
-    count = len(outlines.time(trajectory))
-    chosen = np.linspace(0, count - 1, DRAWN_FRAMES) if frames is None else list(frames)
+    time = outlines.time(trajectory)
+    count = len(time)
+    if frames is None:  # a run that has failed stands: from there on its frames are all alike
+        moving = np.flatnonzero(np.diff(time, prepend=-np.inf) > 0)
+        return sorted({int(moving[int(k)]) for k in np.linspace(0, len(moving) - 1, DRAWN_FRAMES)})
+    chosen = list(frames) if isinstance(frames, Iterable) else [frames]
+    if wrong := [frame for frame in chosen if not -count <= frame < count]:
+        raise ValueError(f"frames must be from 0 to {count - 1}, but one is {wrong[0]}")
     return sorted({int(frame) % count for frame in chosen})
 
 
 def _sheet_name(scene: Scene, sheet: str | None) -> str:
-    return min(scene.sheets) if sheet is None else sheet
+    name = min(scene.sheets) if sheet is None else sheet
+    known_name("sheet", name, scene.sheets)
+    return name

@@ -22,6 +22,9 @@ from diffeed.base.records import REQUIRED, fields, is_required
 from diffeed.faults.causes import CAUSES, REMEDIES
 from diffeed.input.check_values import VARYING
 from diffeed.input.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
+from diffeed.readings.observe import Feed, Gaps, NipStats
+from diffeed.readings.pressed_guides import GuideStats
+from diffeed.readings.spans import SpanStats
 from optimize.study import Goal, Limit, Medium, Robust, Search, Stage, Study, Variable
 from optimize.terms import TERMS
 from optimize.tolerance.records import Axis, Latitude, Measured, Tolerance, ToleranceStudy
@@ -187,10 +190,7 @@ def _given(field: Any) -> str:
 
 def terms() -> str:
     """What a goal or a limit may measure."""
-    rows = [
-        (f"`{name}`", t.unit, {"rollers": "rollers", "sheets": "sheets", "": "the machine"}[t.of], _sentence(t.doc))
-        for name, t in TERMS.items()
-    ]
+    rows = [(f"`{name}`", t.unit, t.of or "the machine", _sentence(t.doc)) for name, t in TERMS.items()]
     return table(("Measure", "Unit", "Of", "Meaning"), rows)
 
 
@@ -262,6 +262,44 @@ def words() -> str:
     return table(("", "Names"), rows)
 
 
+def observed() -> str:
+    """What each observer leaves in `run.observed`, by name."""
+    kept = (
+        ("nips", "[roller]", NipStats),
+        ("guides", "[guide]", GuideStats),
+        ("feed", "[sheet]", Feed),
+        ("spans", "[sheet]", SpanStats),
+        ("gaps", '["rollers" or "guides"][part]', Gaps),
+    )
+    rows = [
+        (f"`{name}`{index}", f"`.{f.name}`", f.metadata["unit"], _sentence(f.metadata["doc"]))
+        for name, index, kind in kept
+        for f in fields(kind)
+    ]
+    others = [
+        (
+            "`arrivals`[sheet][sensor]",
+            '`["lead"]`, `["tail"]`',
+            "s",
+            "Time at which that edge crosses the gate; infinity: never",
+        ),
+        ("`curvature`[sheet]", "", "1/mm", "Largest curvature of any joint so far"),
+        ("`energy`", '`["stored"]`', "N mm", "What is stored more than at the start"),
+        *(("`energy`", f'`["{name}"]`', "N mm", meaning) for name, meaning in POWERS.items()),
+    ]
+    return table(("Observer", "Field", "Unit", "Meaning"), rows + others)
+
+
+POWERS = {
+    "drives": "Work of driven shafts",
+    "loads": "Work of dead forces and moments",
+    "friction": "What friction takes, lost in sliding or lent to deflections",
+    "contact": "Loss in contact damping",
+    "joints": "Loss in joint dampers",
+    "rollers": "Loss in roller dampers and bearings",
+}
+
+
 # --- reference ----------------------------------------------------------------------------------------------------------
 
 
@@ -302,5 +340,6 @@ PARTS: dict[str, Callable[[], str]] = {
     "causes": causes,
     "commands": commands,
     "words": words,
+    "observed": observed,
 }
 """Generated text by the name in its mark."""

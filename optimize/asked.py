@@ -1,5 +1,7 @@
 """What a study asks of a run: measures looked up in TERMS, parts and sensors in the scene, and their values."""
 
+import inspect
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from jax import Array
 import diffeed
 from diffeed.base.limits import run_problem, scene_size
 from diffeed.base.names import hint, nearest
+from diffeed.base.records import fields
 from diffeed.base.words import quoted, short
 from optimize.records import Limit, Measured, Runs
 from optimize.terms import TERMS, Term
@@ -121,6 +124,9 @@ def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, prob
         )
         return None
     term, before = TERMS[spec.measure], len(problems)
+    problems += _term_problems(spec.measure, term)
+    if len(problems) > before:
+        return None
     parts = _parts(where, term, spec, scene, problems)
     if term.at and spec.at not in scene.sensors:
         known = ", ".join(sorted(scene.sensors)) or "none in this scene"
@@ -130,6 +136,18 @@ def resolved(section: str, name: str, spec: Measured, scene: diffeed.Scene, prob
     if not term.at and spec.at:
         problems.append(f'{where}.at is only for arrivals; "{spec.measure}" takes none')
     return Asked(name, term, parts, spec.at or "", spec) if len(problems) == before else None
+
+
+def _term_problems(name: str, term: Term) -> Iterator[str]:
+    """What is wrong with a term of the user's own: said before anything is compiled."""
+    sections = [f.name for f in fields(diffeed.Scene) if f.metadata.get("many")]
+    if term.of not in ("", *sections):
+        known = f'"" or one of {", ".join(sections)}'
+        yield f'TERMS["{name}"].of must be {known}, but is {quoted(str(term.of))}{nearest(term.of, sections)}'
+    try:
+        inspect.signature(term.value).bind(None, None, "", "")
+    except TypeError:
+        yield f'TERMS["{name}"].value must take (scene, run, part, at), but takes {inspect.signature(term.value)}'
 
 
 def _parts(where: str, term: Term, spec: Measured, scene: diffeed.Scene, problems: list[str]) -> tuple[str, ...]:

@@ -8,6 +8,9 @@ from optimize.asked import refuse_runs
 from optimize.design_run import Result, Scored, score
 from optimize.problem import SLACK
 
+PART = 0.5
+"""Of the gain of a search: less that is left in shorter steps is told."""
+
 
 @dataclass(frozen=True)
 class Confirmation:
@@ -22,12 +25,21 @@ class Confirmation:
         """It is better in these steps too."""
         return self.after.rank < self.before.rank
 
+    @property
+    def mostly_of_the_steps(self) -> bool:
+        """What is gained in these steps is less than `PART` of what the search gained in its own. Not where limits were broken
+        before, for then the objective may have to grow."""
+        (one, two), kept = self.searched, self.before.violation <= SLACK
+        return kept and 0.0 <= self.before.objective - self.after.objective < PART * (one - two)
+
     def sentence(self) -> str:
         """What it came to, in words."""
         (one, two), (first, then) = self.searched, (self.before.objective, self.after.objective)
         told = f"in steps {FINER} times as fine the objective goes from {first:.4g} to {then:.4g}, in the search's own from "
         told += f"{one:.4g} to {two:.4g}"
         told += f"; there {_state(self.before)} before, {_state(self.after)} after"
+        if self.holds and self.mostly_of_the_steps:
+            return f"Confirmed in part: {told}. Most of that gain is of the steps: search with a smaller dt, or a step_tolerance."
         if self.holds:
             return f"Confirmed: {told}."
         return f"Not confirmed: {told}. That is no gain: search with a smaller dt, or a step_tolerance."

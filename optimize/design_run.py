@@ -78,7 +78,7 @@ class Result:
 
 
 def design(
-    study: Study | Problem,
+    study: Study | Problem | dict[str, Any],
     folder: str | Path | None = None,
     resume: bool = False,
     force: bool = False,

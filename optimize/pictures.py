@@ -65,7 +65,11 @@ def blame_map(
         return ax
     worth = abs(found.objective) if size is None else size
     if rows[0][2] > ABSURD * worth > 0.0:
-        _title(ax, f"No gradient to believe: it promises {rows[0][2]:.2g} per 0.1 mm of an objective of {worth:.3g}")
+        most = "" if size is None else " at most"
+        _title(
+            ax,
+            f"No gradient to believe: it promises {rows[0][2]:.2g} per 0.1 mm of an objective of {worth:.3g}{most}",
+        )
         return ax
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     longest = 0.12 * max(np.ptp(low), np.ptp(high))

@@ -14,13 +14,17 @@ from jax import Array
 import diffeed
 from diffeed.base.names import nearest
 from diffeed.base.products import ALL_DIGITS
+from diffeed.base.words import quoted
 from diffeed.input.stacking import misfit
 from optimize import variables as free
 from optimize.asked import Asked, StudyError, changed, number_at, resolved, run_problems, values_of, violations
 from optimize.study import Goal, Study, Variable
+from optimize.study_file import make_study
 from optimize.tolerance.draws import Input, deviations, inputs_of, key_of, uniforms
 from optimize.tolerance.moves import sampled
 
+GIVEN = "given"
+"""In place of the name of a scene that was built in Python."""
 SLACK = 1e-2
 """A limit counts as kept when it is missed by less than this share of its scale."""
 
@@ -222,14 +226,19 @@ def loss(problem: Problem, unit: Array, multipliers: Array, penalty: Array, sett
 
 
 def make_problem(
-    study: Study, where: str = "study", scene: diffeed.Scene | None = None, folder: Path | None = None
+    study: Study | dict[str, Any],
+    where: str = "study",
+    scene: diffeed.Scene | None = None,
+    folder: Path | None = None,
 ) -> Problem:
-    """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names; files of
-    measured values count from `folder` (where Python runs, if not given)."""
+    """Look everything up. StudyError lists all that does not fit. `scene` replaces the one that the study names, and a table
+    (of `make_study`) then need not name any; files of measured values count from `folder` (where Python runs, if not given)."""
+    if isinstance(study, dict):
+        study = make_study(study if scene is None else {"scene": GIVEN} | study, where)
     try:
         base = diffeed.load_scene(study.scene) if scene is None else scene
     except diffeed.SceneError as error:
-        raise StudyError([f"scene: {p}" for p in error.problems], where) from None
+        raise StudyError([f"scene {quoted(study.scene)}: {p}" for p in error.problems], where) from None
     problems: list[str] = []
     base = changed(base, study.set, "set", problems)
     scenes = {name: changed(base, m.set, f"media.{name}.set", problems) for name, m in study.media.items()}

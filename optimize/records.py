@@ -88,7 +88,11 @@ class Moved(Record):
         if len(given) != 1:
             raise ValueError(f"exactly one of {', '.join(self.meanings)} must be given, but {len(given)} are")
         if (self.direction is not None) != (given == ["shift"]):
-            raise ValueError("direction belongs to shift, and only there")
+            raise ValueError(
+                "a shift needs its direction"
+                if self.direction is None
+                else "direction belongs to shift, and only there"
+            )
         if self.direction is not None and not any(self.direction):
             raise ValueError("direction must not be zero")
         if (self.about is not None) != (given == ["turn"]):
@@ -111,8 +115,8 @@ class Runs(Record):
     """Name of a shipped scene, or path of a scene file; a relative one counts from the study file."""
     duration: Positive | None = None
     """s: length of a run; the scene's own if not given."""
-    dt: Positive = 2e-4
-    """s: longest step."""
+    dt: Positive = 1e-4
+    """s: longest step; that of `diffeed run` unless given."""
     step_tolerance: Positive | None = None
     """mm: choose steps by their error, none longer than `dt` if that is given."""
     most_steps: Annotated[int, Field(ge=1, le=MAX_STEPS), plain] = 20_000

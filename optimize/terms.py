@@ -14,7 +14,7 @@ from diffeed import measures
 
 
 class Term(NamedTuple):
-    """`of`: the section whose parts it is asked for ("rollers", "sheets", or none); `at`: whether it needs a sensor."""
+    """`of`: the section whose parts it is asked for ("rollers", "guides", "sheets", or none); `at`: whether it needs a sensor."""
 
     value: Callable[[diffeed.Scene, Any, str, str], Array]
     of: str
@@ -46,6 +46,10 @@ def _nip(name: str) -> Callable[..., Array]:
     return lambda scene, run, part, at: getattr(run.observed["nips"][part], name)
 
 
+def _guide(name: str) -> Callable[..., Array]:
+    return lambda scene, run, part, at: getattr(run.observed["guides"][part], name)
+
+
 def _span(name: str) -> Callable[..., Array]:
     return lambda scene, run, part, at: getattr(run.observed["spans"][part], name)
 
@@ -55,6 +59,8 @@ TERMS: dict[str, Term] = {
     "slip_rms": Term(_nip("slip_rms"), "rollers", "mm/s", "RMS slip", ("nips",)),
     "nip_force": Term(_nip("force_mean"), "rollers", "N", "mean normal force in contact", ("nips",)),
     "nip_force_peak": Term(_nip("force_peak"), "rollers", "N", "largest normal force", ("nips",)),
+    "guide_force": Term(_guide("force_mean"), "guides", "N", "mean normal force of the sheets in contact", ("guides",)),
+    "guide_force_peak": Term(_guide("force_peak"), "guides", "N", "largest normal force of the sheets", ("guides",)),
     "friction": Term(_nip("friction_rms"), "rollers", "N", "RMS friction on the sheet", ("nips",)),
     "torque": Term(_nip("torque_mean"), "rollers", "N mm", "mean torque of its contacts on it", ("nips",)),
     "torque_peak": Term(_nip("torque_peak"), "rollers", "N mm", "largest torque of its contacts on it", ("nips",)),

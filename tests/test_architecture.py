@@ -23,7 +23,7 @@ RANKS = """
     forces: terms sheet loads clamps contacts rollers assemble landing energy
     faults: causes tally balance overshoot rebounds judge
     steppers: advance astray linear_euler extrapolated_euler runge_kutta midpoint
-    readings: trajectory snapshot spans observe frames margin verdict agreement
+    readings: trajectory snapshot spans pressed_guides observe frames margin verdict agreement
     statics: coordinates relax rest vibrations
     run: progress error_control rollout joints examine pieces
     measures

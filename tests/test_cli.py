@@ -136,7 +136,7 @@ def test_a_run_reports_its_verdict_first_in_plain_text_of_80_columns(finished):
     assert "\x1b" not in finished.stdout + finished.stderr
     assert max(len(line) for line in lines[:-1]) <= 80
     assert "Traceback" not in finished.stderr
-    for title in ("Rollers", "Arrivals", "Sheets", "Smallest gaps", "Energy balance"):
+    for title in ("Rollers", "Guides", "Arrivals", "Sheets", "Smallest gaps", "Energy balance"):
         assert any(line.startswith(title) for line in lines)
 
 
@@ -546,6 +546,7 @@ def test_a_report_with_long_names_fits_the_terminal(width):
         "verdict": {"status": "jammed", "reason": "[x] stalled", "time": 0.5, "place": "here"},
         "rollers": {name: nip},
         "sheets": {name: sheet},
+        "guides": {name: {"contact_time": 0.5, "force_mean": -1234.5678, "force_peak": 9.0}},
         "smallest_gaps": {f"rollers.{name}": -0.1, **{f"guides.{k}": 1.0 for k in range(20)}},
         "energy": {"work of drives": 0.0, "stored": 1.0},
         "run": run | {"compile_seconds": 1.0, "run_seconds": 1.0},
@@ -574,7 +575,7 @@ def test_what_is_hardly_meant_is_said_and_what_is_not_there_is_guessed():
     [
         ("duration=abc", "duration must be"),
         ("duration=[1,2]", "duration must be"),
-        ("sheets.film=3", "sheets.film must be a Sheet"),
+        ("sheets.film=3", '"sheets.film" is a whole part: it must be a Sheet, or none, but is 3'),
         ("guides=3", "guides must be a table of named parts"),
     ],
 )

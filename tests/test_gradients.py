@@ -1,5 +1,6 @@
 """Gradients of runs: the two modes, the check against differences and trend, and what breaks one."""
 
+import functools
 import re
 
 import jax
@@ -119,6 +120,44 @@ def test_what_has_no_gradient_is_said():
         ):
             with pytest.raises(ValueError, match=f'"{re.escape(path)}" {said}'):
                 use(path)
+
+
+@pytest.mark.parametrize(
+    ("paths", "said"),
+    [
+        ("rollers.pinch.preload", 'must be a list of paths, but is one word: write ["rollers.pinch.preload"]'),
+        ((), "names no number"),
+    ],
+)
+def test_paths_are_a_list(paths, said):
+    for use in (diffeed.gradient_check, functools.partial(diffeed.value_and_gradient, fed)):
+        with pytest.raises(ValueError, match=re.escape(said)):
+            use(nip(), paths)
+
+
+def test_a_vector_is_checked_entry_by_entry():
+    with pytest.raises(ValueError, match=re.escape('"rollers.pinch.center" is a vector: name its entries')):
+        diffeed.gradient_check(nip(), ["rollers.pinch.center"])
+
+
+def test_a_span_of_no_path_is_refused():
+    path = "rollers.pinch.preload"
+    with pytest.raises(ValueError, match=r'spans names "rollers.pinch.preld", .* did you mean "rollers.pinch.preload"'):
+        diffeed.gradient_check(nip(), [path], spans={"rollers.pinch.preld": 0.1})
+
+
+def test_a_measure_gives_one_number_with_a_fraction():
+    def forgot(scene, run):
+        fed(scene, run)
+
+    measures = {
+        "forgot gives nothing: is its return missing?": forgot,
+        "<lambda> gives one of bool": lambda scene, run: run.ok,
+        "<lambda> gives 3 of float64": lambda scene, run: run.time,
+    }
+    for said, measure in measures.items():
+        with pytest.raises(TypeError, match=re.escape(said)):
+            diffeed.value_and_gradient(measure, nip(), ["rollers.pinch.preload"], duration=0.002, dt=5e-4, frames=3)
 
 
 def test_a_start_without_derivative_is_said_in_a_sentence():

@@ -79,6 +79,16 @@ def test_progress_counts_fed_over_commanded(run):
     assert float(feed.commanded) == pytest.approx(9.0, rel=2e-3)
 
 
+def test_what_a_roller_turns_is_fed_or_slips(run):
+    """Also of a sheet that moves aside where it is bent, as all of it then is not as fast along itself as in the nip."""
+    bent = replace(nip(), sheets={"a": replace(nip().sheets["a"], curl=0.01)}, guides={}, gravity=(0.0, 0.0))
+    other = diffeed.simulate(bent, duration=0.03, dt=5e-4, frames=2, observe=("nips", "feed"))
+    for found in (run, other):
+        feed, drive = found.observed["feed"]["a"], found.observed["nips"]["drive"]
+        slipped = float(drive.slip_mean * drive.contact_time)
+        assert float(feed.driven) == pytest.approx(float(feed.commanded) - slipped, rel=1e-9)
+
+
 def test_creep_floor_is_the_inverse_of_the_law(run):
     """At the mean square friction of the run, v/sqrt(v^2 + vs^2) = load/(mu N) gives the floor back."""
     stats, floor = run.observed["nips"]["drive"], float(measures.creep_floor(nip(), run)["drive"])
@@ -286,6 +296,13 @@ def test_a_sensor_that_looks_the_wrong_way_is_told():
     verdict = measures.verdict(back, run)
     assert verdict.status == "late"
     assert verdict.reason.endswith("; its tail passed sensor exit against the sensor's direction")
+
+
+def test_a_sensor_beside_the_path_is_told():
+    aside = nip(sensors=nip().sensors | {"exit": Sensor(position=(-15.0, 40.0), direction=(1.0, 0.0), range=20.0)})
+    verdict = measures.verdict(aside, diffeed.simulate(aside, dt=5e-4, frames=51))
+    assert verdict.status == "late"
+    assert verdict.reason.endswith("; its tail passed 40 mm beside sensor exit, whose range is 20 mm")
 
 
 @pytest.mark.parametrize("read", [measures.verdict, measures.jam_margins, measures.energy])

@@ -556,6 +556,19 @@ def test_a_machine_that_jams_or_breaks_limits_in_shorter_steps_is_told():
         assert told in found.sentence()
 
 
+def test_a_gain_that_is_mostly_of_the_steps_is_told():
+    before = replace(score(problem_of(), np.array([0.5])), objective=1.0)
+    for after, searched, part in ((0.9, (2.0, 1.0), True), (0.5, (2.0, 1.2), False), (0.9, (1.0, 0.9), False)):
+        found = optimize.Confirmation(before, replace(before, objective=after), searched)
+        assert found.holds
+        assert found.sentence().startswith("Confirmed in part: " if part else "Confirmed: ")
+        assert ("Most of that gain is of the steps" in found.sentence()) == part
+    broken = replace(before, violation=0.5)
+    assert optimize.Confirmation(broken, before, (2.0, 0.1)).sentence().startswith("Confirmed: "), (
+        "it keeps the limits now"
+    )
+
+
 def test_what_was_not_improved_needs_no_confirmation_and_too_many_steps_are_told():
     result = design(problem_of(search={"iterations": 4}))
     assert optimize.confirm(replace(result, after=result.before)) is None

@@ -11,6 +11,7 @@ import optimize
 from optimize.optimisers import OPTIMISERS, UNSCHEDULED, make_optimiser
 from optimize.problem import make_problem
 from optimize.study_file import is_tolerance, load_study, make_study, read_table, shipped_studies
+from optimize.terms import TERMS, Term
 from optimize.tolerance.problem import load_tolerance
 
 GOOD = {
@@ -63,6 +64,27 @@ TIME = "rollers.drive.angular_speed.times[1]"
 def test_what_no_scene_can_have_is_refused_before_the_search(variables, said):
     (problem,) = problems_of(GOOD | {"variables": variables})
     assert problem.startswith(said)
+
+
+def test_a_table_and_a_scene_of_python_are_a_study():
+    table = {key: value for key, value in GOOD.items() if key != "scene"}
+    assert make_problem(table, scene=nip()).names == ("preload",)
+    with pytest.raises(optimize.StudyError, match="scene"):
+        make_problem(table)
+
+
+def test_a_term_that_cannot_be_asked_is_said_before_anything_runs(monkeypatch):
+    def of_two(scene, run):
+        return run.time[-1]
+
+    study = GOOD | {"objective": {"mine": {"measure": "mine"}}}
+    for term, said in (
+        (Term(of_two, "sheets", "s", "time"), "must take (scene, run, part, at), but takes (scene, run)"),
+        (Term(lambda s, r, p, a: r.time[-1], "sheet", "s", "time"), 'but is "sheet"; did you mean "sheets"?'),
+    ):
+        monkeypatch.setitem(TERMS, "mine", term)
+        (problem,) = problems_of(study)
+        assert said in problem
 
 
 def test_a_tolerance_wider_than_the_room_ends_at_a_bound():

@@ -1,3 +1,5 @@
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -167,3 +169,53 @@ def test_wrong_assignment(text):
 )
 def test_the_value_of_a_profile_has_the_unit_of_its_field(path, expected):
     assert unit(normalise(raw_scene()), path) == expected
+
+
+def test_a_copy_has_dictionaries_of_its_own():
+    scene = normalise(raw_scene())
+    copy = put(scene, "sheets.film.thickness", 0.2)
+    for section in ("sheets", "rollers", "guides", "contacts"):
+        getattr(copy, section).clear()
+    assert list(scene.guides) == ["flap"]
+    assert set(scene.rollers) == {"drive", "pinch"}
+    assert scene.sheets["film"].thickness == 0.1
+    assert scene.contacts
+
+
+def test_a_part_is_added_and_taken_away():
+    scene = normalise(raw_scene())
+    more = put(scene, "guides.shelf", LineGuide(start=(0.0, -3.0), end=(5.0, -3.0)))
+    assert list(normalise(more).guides) == ["flap", "shelf"]
+    assert get(more, "guides.shelf.start[1]") == -3.0
+    for nothing in (None, "none"):
+        assert list(put(more, "guides.flap", nothing).guides) == ["shelf"]
+    assert list(scene.guides) == ["flap"]
+    other = put(scene, "rollers.drive", MovableRoller(center=(0.0, 0.0), direction=(0.0, 1.0), radius=5.0, mass=0.01))
+    assert get(other, "rollers.drive.mass") == 0.01
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("guides.flab", None, 'guides has no "flab"; did you mean "flap"?'),
+        ("guides.shelf", 3.0, 'guides has no "shelf"'),
+        ("guides.shelf", Sheet, "must be a LineGuide or ArcGuide or CircleGuide, or none, but is a"),
+        ("rollers.pinch", 3.0, "must be a FixedRoller or MovableRoller, or none, but is 3"),
+    ],
+)
+def test_what_is_no_part_is_refused(path, value, said):
+    scene = normalise(raw_scene())
+    with pytest.raises(PathError, match=re.escape(said)):
+        put(scene, path, scene.sheets["film"] if value is Sheet else value)
+
+
+def test_a_part_without_its_section_is_found():
+    with pytest.raises(
+        PathError, match=re.escape('"pinch.preload": a scene has no "pinch"; did you mean "rollers.pinch"?')
+    ):
+        put(normalise(raw_scene()), "pinch.preload", 3.0)
+
+
+def test_what_is_no_scene_is_said():
+    with pytest.raises(PathError, match=re.escape('is looked for in a scene, but this is "nip.toml"')):
+        put("nip.toml", "rollers.pinch.preload", 3.0)

@@ -55,11 +55,41 @@ def test_machine_names_every_part_and_draws_every_roller():
     assert ax.get_aspect() == 1.0
 
 
+def test_parts_of_one_name_are_all_named():
+    """A roller, a guide and a sensor, as `exit` may be."""
+    name = next(iter(SCENE.rollers))
+    gate = Sensor(position=(100.0, 0.0), direction=(1.0, 0.0))
+    scene = dataclasses.replace(SCENE, sensors={name: gate})
+    texts = [text.get_text() for text in plot.machine(scene).texts]
+    assert texts.count(name) == 2
+
+
 def test_machine_draws_the_chosen_frames():
     ax = plot.machine(SCENE, RUN, frames=(0, -1))
     legend = ax.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["sheet at 0 s", "1 s"]
+
+
+@pytest.mark.parametrize(
+    ("draw", "said"),
+    [
+        (lambda: plot.machine(SCENE, RUN, frames=(0, 101)), "frames must be from 0 to 100, but one is 101"),
+        (lambda: plot.paths(SCENE, RUN, bars=(0, 99)), "bars must be from 0 to 19, but one is 99"),
+        (lambda: plot.paths(SCENE, RUN, sheet="note"), 'no sheet named "note"; known: "film"'),
+    ],
+)
+def test_what_is_not_there_is_not_drawn(draw, said):
+    with pytest.raises(ValueError, match=said):
+        draw()
+
+
+def test_a_failed_run_is_drawn_until_it_stands():
+    """Its last frames are all alike; the last one drawn says so."""
+    failed = run(SCENE, ok=False)
+    failed.time = np.minimum(failed.time, 0.6)
+    texts = [text.get_text() for text in plot.machine(SCENE, failed).get_legend().get_texts()]
+    assert texts == ["sheet at 0 s", "0.15 s", "0.3 s", "0.45 s", "0.6 s: failed"]
 
 
 def test_machine_draws_sensors_and_clamps():

@@ -69,6 +69,11 @@ def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
         ("guides.turn.sweep", 1.5708, "guides.turn.sweep is 1.5708 degrees: in radians?"),
         ("rollers.drive.surface_speed", -1.5, "rollers.drive turns at 1.5 mm/s at most: in m/s?"),
         (
+            "rollers.pinch.preload",
+            -4.0,
+            "rollers.pinch.preload is -4 N, which opens the nip: the spring pushes against",
+        ),
+        (
             "rollers.pinch.direction",
             (0.0, -1.0),
             "rollers.pinch.direction points at rollers.drive, so that its preload opens",
@@ -160,6 +165,18 @@ def test_the_faces_of_a_blade_that_is_thinner_than_they_feel():
     assert blade(-1.0) == []  # a channel, its faces towards each other
     beside = LineGuide(start=(1.0, 80.0), end=(1.0, 40.0))
     assert diffeed.remarks(guided(left=LineGuide(start=(0.0, 0.0), end=(0.0, 30.0)), right=beside)) == []
+
+
+def test_a_pinch_that_its_stop_holds_off_is_remarked_on():
+    drive = FixedRoller(center=(0.0, -10.05), radius=10.0, surface_speed=300.0)
+    pinch = MovableRoller(center=(0.0, 10.5), direction=(0.0, 1.0), radius=10.0, mass=0.01, preload=4.0, travel_min=0.0)
+    (remark,) = diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, rollers={"drive": drive, "pinch": pinch}))
+    assert remark.startswith(
+        "rollers.pinch stops 0.55 mm before rollers.drive (travel_min = 0 mm): no sheet is pressed there"
+    )
+    for stop in (None, -0.5):
+        free = replace(pinch, travel_min=stop)
+        assert diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, rollers={"drive": drive, "pinch": free})) == []
 
 
 def test_a_run_far_too_long_is_remarked_on():

@@ -149,10 +149,10 @@ def test_studies_whose_numbers_are_drawn_in_another_order_are_not_the_same():
 
 def test_a_longest_step_that_is_not_given_is_no_bound_on_any_machine():
     chosen = {k: v for k, v in BASE.items() if k != "dt"} | {"step_tolerance": 1e-3}
-    study, bounded = (make_tolerance(table, scene=nip()) for table in (chosen, chosen | {"dt": 2e-4}))
+    study, bounded = (make_tolerance(table, scene=nip()) for table in (chosen, chosen | {"dt": 1e-4}))
     assert study.study.dt == bounded.study.dt, "the default has another value: this test says nothing"
     assert study.key != bounded.key
-    for one, dt in ((study, None), (bounded, 2e-4)):
+    for one, dt in ((study, None), (bounded, 1e-4)):
         there = unpacked(packed(one))
         assert there.study.stepping["dt"] == dt
         assert there.key == one.key

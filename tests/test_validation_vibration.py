@@ -55,6 +55,19 @@ def test_frequencies(ends: str, bars: int) -> None:
     assert np.all(off <= 1.01 * np.abs(exact["rel_err"]) + 1e-9)
 
 
+def test_frequencies_have_derivatives() -> None:
+    """By a stiffer sheet, of which each frequency of a cantilever is the root: d omega/dE = omega / 2 E."""
+    scene = straight("cfA", 10)
+    state, modulus = diffeed.settle(scene), float(scene.sheets["strip"].youngs_modulus)
+
+    def lowest(modulus: Any) -> Any:
+        return diffeed.linearise(diffeed.put(scene, "sheets.strip.youngs_modulus", modulus), state).modes()[0][:3]
+
+    found, slope = jax.jvp(lowest, (modulus,), (1.0,))
+    np.testing.assert_allclose(found, model("cfA", 10).modes()[0][:3], rtol=1e-9)
+    np.testing.assert_allclose(slope, found / (2.0 * modulus), rtol=1e-6)
+
+
 def test_free_sheet_has_three_rigid_motions() -> None:
     frequencies = model("ff", 10).modes()[0]
     assert np.max(np.abs(frequencies[:3])) < 1e-3 * frequencies[3]

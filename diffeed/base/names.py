@@ -1,7 +1,7 @@
 """What to say when a name is not known."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from diffeed.base.words import LONGEST, quoted
 
@@ -14,6 +14,12 @@ def nearest(name: object, known: Iterable[str]) -> str:
     like = [k for k in known if len(k) <= LONGEST]
     near = difflib.get_close_matches(name[:LONGEST], like, n=1, cutoff=0.5) if isinstance(name, str) else []
     return f"; did you mean {quoted(near[0])}?" if near else ""
+
+
+def known_name(kind: str, name: object, known: Collection[str]) -> None:
+    """ValueError if there is no such name."""
+    if name not in known:
+        raise ValueError(f"no {kind} named {quoted(str(name))}{hint(name, known)}")
 
 
 def hint(name: object, known: Iterable[str]) -> str:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.once import computed_once
 from diffeed.base.products import product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain.sums import apply, before, membership
@@ -96,8 +97,9 @@ def _lower(
     """Lower triangle of the matrix, whose last rows are `below`; `blocks` are sums of xx, xy, yy over the bars behind each
     and over sheets. A lead is a bar that all others of its sheet are behind.
 
-    Made by one product, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
-    entry of the matrix: so what the diagonal needs goes through a product too.
+    Made by products, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
+    entry of the matrix: so what the diagonal needs goes through a product too, and what each row and column is made of is
+    computed once. Of two columns a call of the library's product takes ten times as long as two products of entries.
     """
     b, n_sheets, more = system.bars, len(layout.bars), below.shape[0]
     (lx, ly), ((hxx, hxy, hyy), (txx, txy, tyy)) = lever, blocks
@@ -106,7 +108,8 @@ def _lower(
     moved = jnp.stack([jnp.concatenate([one, zero, lx]), jnp.concatenate([zero, one, ly])])
     asked = jnp.stack([jnp.concatenate([txx, txy, vx]), jnp.concatenate([txy, tyy, vy])])
     beyond = ((0, 0), (0, more))
-    crossed = product(jnp.pad(moved, beyond).T, jnp.pad(asked, beyond))
+    (mx, my), (ax, ay) = computed_once((jnp.pad(moved, beyond), jnp.pad(asked, beyond)))
+    crossed = mx[:, None] * ax[None, :] + my[:, None] * ay[None, :]
     # The bar itself: a quarter of its own block instead of the half that is behind.
     own = b.ww + lx * (vx - 0.25 * (b.xx * lx + b.xy * ly)) + ly * (vy - 0.25 * (b.xy * lx + b.yy * ly))
     behind, diagonal, joint = _tables(layout, more)

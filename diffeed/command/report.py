@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-OBSERVE = ("nips", "arrivals", "energy", "gaps", "curvature", "feed", "spans")
+OBSERVE = ("nips", "guides", "arrivals", "energy", "gaps", "curvature", "feed", "spans")
 """What must be observed for a report."""
 COLORS = {"passed": "bold green", "late": "bold yellow"}
 COMPARED = {field: f"{words} ({nip_unit(field)})" for field, words in NIP_WORDS.items()}
 """Of each roller, before and after."""
+GUIDES = {"force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
+"""Of each guide, likewise."""
 FLAT = 1e-7
 """1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""
 NEAREST = 8
@@ -35,7 +37,7 @@ MARGINS = (
     "1: no load; 0: at the limit, beyond which it jams. Progress towards the goal, buckling between nips, fold, "
     "attack at guides, head pressed into a guide (gap)."
 )
-FED = "Fed per turned: of the way while a driven roller held the sheet."
+FED = "Fed per turned: how far the sheet moved under the driven rollers that held it, over what they turned."
 UNBALANCED = 0.2
 """Of the largest work, store or loss: more that the steps themselves took or gave is told."""
 
@@ -47,6 +49,7 @@ def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
             "verdict": measures.verdict(scene, trajectory)._asdict(),
             "rollers": _rollers(scene, trajectory),
             "sheets": {name: _sheet(scene, trajectory, name) for name in sorted(scene.sheets)},
+            "guides": {name: _record(stats) for name, stats in trajectory.observed["guides"].items()},
             "smallest_gaps": _gaps(trajectory),
             "energy": measures.energy_balance(scene, trajectory),
         }
@@ -54,11 +57,12 @@ def summarise(scene: Scene, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def print_report(console: "Console", summary: dict[str, Any]) -> None:
-    """The verdict in the first line, then rollers, arrivals, sheets, gaps, energy, and what it took."""
+    """The verdict in the first line, then rollers, guides, arrivals, sheets, gaps, energy, and what it took."""
     status = summary["verdict"]["status"]
     console.print(_verdict_line(summary["verdict"]), style=COLORS.get(status, "bold red"))
     for title, note, table in (
         ("Rollers, over the time in which they touch a sheet", CREEP, _roller_table(summary["rollers"])),
+        ("Guides, over the time in which a sheet touches them", "", _guide_table(summary["guides"])),
         ("Arrivals of the sheets' edges", "", _arrival_table(summary["sheets"])),
         ("Sheets", FED, _sheet_table(summary["sheets"])),
         ("Distance from a jam", MARGINS, _margin_table(summary["sheets"])),
@@ -98,10 +102,11 @@ def print_changes(console: "Console", before: dict[str, Any], after: dict[str, A
 
 def _rollers(scene: Scene, trajectory: Trajectory) -> dict[str, dict[str, Any]]:
     nips, floors = trajectory.observed["nips"], measures.creep_floor(scene, trajectory)
-    return {
-        name: {f.name: getattr(stats, f.name) for f in fields(stats)} | {"creep_floor": floors[name]}
-        for name, stats in nips.items()
-    }
+    return {name: _record(stats) | {"creep_floor": floors[name]} for name, stats in nips.items()}
+
+
+def _record(stats: Any) -> dict[str, Any]:
+    return {f.name: getattr(stats, f.name) for f in fields(stats)}
 
 
 def _sheet(scene: Scene, trajectory: Trajectory, name: str) -> dict[str, Any]:
@@ -143,6 +148,10 @@ def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[s
     for name in after["rollers"]:
         old, new = before["rollers"].get(name, {}), after["rollers"][name]
         for key, meaning in COMPARED.items():
+            yield f"{name}: {meaning}", old.get(key), new[key]
+    for name, new in after.get("guides", {}).items():
+        old = before.get("guides", {}).get(name, {})
+        for key, meaning in GUIDES.items():
             yield f"{name}: {meaning}", old.get(key), new[key]
     for name, new in after.get("energy", {}).items():
         yield f"{name} (N mm)", before.get("energy", {}).get(name), new
@@ -209,6 +218,19 @@ def _margin_table(sheets: dict[str, Any]) -> "Table":
     table = plain_table("sheet", *parts)
     for name, row in sheets.items():
         table.add_row(name, *(_text(row["jam_margins"][part]) for part in parts))
+    return table
+
+
+def _guide_table(guides: dict[str, Any]) -> "Table":
+    """Those that are pressed hardest."""
+    table = plain_table("guide", "contact\ns", "normal\nmean\nN", "normal\npeak\nN")
+    touched = sorted((row["force_peak"] or 0.0, name) for name, row in guides.items() if row["contact_time"])[::-1]
+    for _, name in touched[:NEAREST]:
+        row = guides[name]
+        table.add_row(name, *(_text(row[key]) for key in ("contact_time", "force_mean", "force_peak")))
+    if len(touched) > NEAREST:
+        more = len(touched) - NEAREST
+        table.add_row(f"and {more} {'guide' if more == 1 else 'guides'} pressed less", "", "", "")
     return table
 
 

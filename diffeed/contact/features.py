@@ -89,12 +89,14 @@ def laid_out(model: Model, values: Sequence[Array], pairs: Listed | None = None)
     return [list(jnp.stack(row)[:, pairs.feature]) for row in rows]
 
 
-def by_feature(model: Model, values: Array, pairs: Listed | None) -> Array:
-    """(k, bodies, features) or (k, pairs) -> (k, features): summed over what each feature touches."""
+def by_feature(model: Model, values: Sequence[Array], pairs: Listed | None) -> Array:
+    """(bodies, features) or (pairs,) each -> (values, features): summed over what each feature touches."""
     if pairs is None:
-        return jnp.sum(values, axis=1)
-    start = jnp.zeros((values.shape[0], model.layout.tail.shape[0]), values.dtype)
-    return start.at[:, pairs.feature].add(values, mode="promise_in_bounds")
+        return jnp.sum(jnp.stack(list(values)), axis=1)
+    # What is of one pair stands side by side, as a scatter wants it: else all is copied first.
+    whole = jnp.stack(list(values), axis=-1)
+    start = jnp.zeros((model.layout.tail.shape[0], len(values)), whole.dtype)
+    return start.at[pairs.feature].add(whole, mode="promise_in_bounds").T
 
 
 class Place(NamedTuple):

@@ -1,5 +1,6 @@
 """The pairs that are looked at: every feature against every body, or a list of those that may touch."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -153,21 +154,24 @@ def keep(
     )
 
 
-def by_circle(model: Model, kept: Kept, values: Array, which: np.ndarray, kind: np.ndarray | int = 0) -> Array:
-    """(k, kinds, circles, features), or (k, kinds, pairs) of circles, -> (k, which, features): of one kind each, what a circle
-    has with every feature."""
-    kinds = np.broadcast_to(np.asarray(kind, int), which.shape)
+def by_circle(
+    model: Model, kept: Kept, values: Sequence[Sequence[Array]], which: np.ndarray, kind: np.ndarray | int = 0
+) -> Array:
+    """Of each value its kinds, (circles, features) or (pairs,) of circles, -> (values, which, features): of one kind each, what
+    a circle has with every feature."""
+    n_kinds, kinds = len(values[0]), np.broadcast_to(np.asarray(kind, int), which.shape)
+    rows = [jnp.concatenate(list(each)) for each in values]
     if kept.pairs is None or kept.circle_index is None:
-        flat = values.reshape(values.shape[0], -1, values.shape[3])
-        return flat[:, values.shape[2] * kinds + which]
+        return jnp.stack(rows)[:, rows[0].shape[0] // n_kinds * kinds + which]
     # Where each circle belongs by each kind, in a last place what is not asked for.
-    place = np.full((values.shape[1], len(model.circle_names)), len(which))
+    place = np.full((n_kinds, len(model.circle_names)), len(which))
     place[kinds, which] = np.arange(len(which))
     at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
-    feature = jnp.tile(kept.pairs.feature[: kept.n_circles], values.shape[1])
-    found = jnp.zeros((values.shape[0], len(which) + 1, model.layout.tail.shape[0]), values.dtype)
-    found = found.at[:, at, feature].add(values.reshape(values.shape[0], -1), mode="promise_in_bounds")
-    return found[:, :-1]
+    feature = jnp.tile(kept.pairs.feature[: kept.n_circles], n_kinds)
+    whole = jnp.stack(rows, axis=-1)  # as in `by_feature`
+    found = jnp.zeros((len(which) + 1, model.layout.tail.shape[0], len(values)), whole.dtype)
+    found = found.at[at, feature].add(whole, mode="promise_in_bounds")
+    return jnp.moveaxis(found[:-1], -1, 0)
 
 
 def by_roller(model: Model, kept: Kept, values: Array) -> Array:
@@ -179,15 +183,27 @@ def by_roller(model: Model, kept: Kept, values: Array) -> Array:
     return sums.at[:, kept.circle_index].add(values[:, : kept.n_circles], mode="promise_in_bounds")[:, :n]
 
 
+def by_body(model: Model, kept: Kept, values: Array) -> Array:
+    """(k, bodies, features) or (k, pairs) -> (k, bodies): summed over all that a body touches."""
+    if kept.pairs is None:
+        return jnp.sum(values, axis=2)
+    sums = jnp.zeros((values.shape[0], len(model.body_names)), values.dtype)
+    return sums.at[:, _body_of_pairs(model, kept)].add(values, mode="promise_in_bounds")
+
+
+def _body_of_pairs(model: Model, kept: Kept) -> Array:
+    """(pairs,) which of all bodies is in each."""
+    counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
+    firsts, indices = np.cumsum([0, *counts], dtype=np.int32), (kept.circle_index, kept.line_index, kept.arc_index)
+    return jnp.concatenate([first + i for first, i in zip(firsts[:-1], indices, strict=True) if i is not None])
+
+
 def by_contact(model: Model, kept: Kept, values: Array) -> Array:
     """(k, bodies, features) or (k, pairs) -> the same shape: each value's sum over all that its sheet has with its body."""
     layout = model.layout
     if kept.pairs is None:
         own = jnp.asarray(layout.sheet_of_feature, values.dtype)
         return product(product(values, own), own.T)
-    counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
-    firsts, indices = np.cumsum([0, *counts], dtype=np.int32), (kept.circle_index, kept.line_index, kept.arc_index)
-    body = jnp.concatenate([first + i for first, i in zip(firsts[:-1], indices, strict=True) if i is not None])
-    contact = body * len(layout.bars) + jnp.asarray(layout.owner_of_feature)[kept.pairs.feature]
-    sums = jnp.zeros((values.shape[0], sum(counts) * len(layout.bars)), values.dtype)
+    contact = _body_of_pairs(model, kept) * len(layout.bars) + jnp.asarray(layout.owner_of_feature)[kept.pairs.feature]
+    sums = jnp.zeros((values.shape[0], len(model.body_names) * len(layout.bars)), values.dtype)
     return sums.at[:, contact].add(values, mode="promise_in_bounds")[:, contact]

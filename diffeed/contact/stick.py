@@ -26,6 +26,15 @@ from diffeed.pair.law import SLIDES, Grip, stick_deflection
 
 def fitted(model: Model, state: State) -> State:
     """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
+    if not isinstance(state, State):
+        kind = type(state).__name__
+        more = {"Trajectory": ": give its `final.state`", "Resume": ": give its `state`"}.get(kind, "")
+        raise TypeError(
+            f"a state (of diffeed.settle, or `final.state` of a run) is needed here, but this is a {kind}{more}"
+        )
+    bars, has = model.layout.n_bars, jnp.shape(state.heading)[-1]
+    if has != bars:
+        raise ValueError(f"the state is of sheets with {has} bars in all, but those of the scene have {bars}")
     wanted = initial_grip(model)
     fits = jax.tree.map(jnp.shape, state.grip) == jax.tree.map(jnp.shape, wanted)
     return state if fits else replace(state, grip=wanted)
@@ -65,14 +74,14 @@ def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
 
 def _gather(model: Model, kept: Kept, values: tuple[Array, ...]) -> Array:
     """(values, deflections): each value summed over the sticking pairs that share a deflection."""
-    whole = jnp.stack([jnp.where(kept.surface.stick, v, 0.0) for v in values])
+    rows = [jnp.where(kept.surface.stick, v, 0.0) for v in values]
     n, found = kept.n_circles, []
     if model.sticks[0]:
-        own = jnp.asarray(model.layout.sheet_of_feature, whole.dtype)
-        sums = product(by_circle(model, kept, whole[:, None, :n], np.arange(len(model.circle_names))), own)
+        own = jnp.asarray(model.layout.sheet_of_feature, rows[0].dtype)
+        sums = product(by_circle(model, kept, [[v[:n]] for v in rows], np.arange(len(model.circle_names))), own)
         found.append(sums.reshape(len(values), -1))
     if model.sticks[1]:
-        found.append(by_feature(model, whole[:, n:], part(kept.pairs, kept.pairs, slice(n, None))))
+        found.append(by_feature(model, [v[n:] for v in rows], part(kept.pairs, kept.pairs, slice(n, None))))
     return jnp.concatenate(found, axis=1)
 
 

@@ -39,8 +39,9 @@ _ALL = (
     Cause("friction turned about within an explicit step", "take shorter steps, or an implicit method"),
     Cause(
         "a sheet came behind the face of a guide past its end",
-        "turn the guide about if it bears on the wrong side (a line guide bears on the left of start to end, an arc on its"
-        " `side`), or keep the sheet off its back",
+        "if the sheet came in below the guide's end, which in the machine is a jam, give the guide a lead-in or move that"
+        " end; turn the guide about if it bears on the wrong side (a line guide bears on the left of start to end, an arc on its"
+        " `side`)",
     ),
     Cause(
         "the times of a profile or a movement are out of order",

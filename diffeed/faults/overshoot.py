@@ -71,7 +71,7 @@ def _pull(model: Model, pairs: Pairs, kept: Kept, friction: Array) -> tuple[Arra
     layout, rollers = model.layout, model.rollers
     mass = total_per_sheet(layout, model.bars.mass)
     own = jnp.asarray(layout.sheet_of_feature, friction.dtype)
-    force = by_feature(model, jnp.stack([pairs.ny * friction, -pairs.nx * friction]), kept.pairs)
+    force = by_feature(model, (pairs.ny * friction, -pairs.nx * friction), kept.pairs)
     free = np.arange(rollers.n)[rollers.free]
     if not len(free):
         return product(force, own) / mass[None], jnp.zeros((1, 0), friction.dtype)

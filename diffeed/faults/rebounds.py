@@ -68,7 +68,7 @@ def judged(
 
     def more() -> Array:
         impulse = lost_impulse(model, pairs, kept, h, slower)
-        of_features = by_feature(model, jnp.stack([impulse * pairs.nx, impulse * pairs.ny]), kept.pairs)
+        of_features = by_feature(model, (impulse * pairs.nx, impulse * pairs.ny), kept.pairs)
         lost = product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype))
         lost = lost / total_per_sheet(model.layout, model.bars.mass)[None]
         old = Lacks(*before)

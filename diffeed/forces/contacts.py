@@ -106,8 +106,8 @@ def pair_terms(model: Model, pairs: Pairs, at: Pose, step: Step, kept: Kept) -> 
     """
     e = felt(pairs, step)
     entries = [_entries(pairs, lever, e, step) for lever in pairs.levers]
-    # Stacked, then summed at once: summed one by one, each would compute the contact law again.
-    sums = by_feature(model, jnp.stack([entry for each in entries for entry in each]), kept.pairs)
+    # Summed at once: one by one, each would compute the contact law again.
+    sums = by_feature(model, [entry for each in entries for entry in each], kept.pairs)
     fx, fy, fw, *matrix = to_bars(model, jnp.split(sums, len(entries)))
     if not step.implicit:
         return bar_terms(model, fx=fx, fy=fy, fw=fw)

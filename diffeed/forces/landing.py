@@ -6,6 +6,8 @@ that of the normal force (Coulomb), so such a step is solved once more with fric
 Where contacts are resolved both forces are alike, and nothing is solved again.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -42,17 +44,18 @@ def share(model: Model, pairs: Pairs, normal: Array, kept: Kept) -> Array:
     """
     force, either = pairs.touch.force, pairs.touch.force + jnp.abs(normal)
     factor = jnp.abs(divide(pairs.touch.friction, force))
-    wrong, most = _by_sheet(model, kept, jnp.stack([factor * divide((force - normal) ** 2, either), factor * either]))
+    wrong, most = _by_sheet(model, kept, (factor * divide((force - normal) ** 2, either), factor * either))
     weight = total_per_sheet(model.layout, model.bars.mass) * polar(model.gravity[0], model.gravity[1])[0]
     part = jnp.clip((jnp.max(divide(wrong, most + weight)) - UNNOTICED) / (PLAIN - UNNOTICED), 0.0, 1.0)
     return part * part * (3.0 - 2.0 * part)
 
 
-def _by_sheet(model: Model, kept: Kept, values: Array) -> Array:
-    """(k, bodies, features) or (k, pairs) -> (k, sheets)."""
+def _by_sheet(model: Model, kept: Kept, values: Sequence[Array]) -> Array:
+    """(bodies, features) or (pairs,) each -> (values, sheets)."""
     if len(model.layout.names) == 1:
-        return jnp.sum(values.reshape(len(values), -1), axis=1, keepdims=True)
-    return product(by_feature(model, values, kept.pairs), jnp.asarray(model.layout.sheet_of_feature, values.dtype))
+        return jnp.sum(jnp.stack([v.ravel() for v in values]), axis=1, keepdims=True)
+    of_features = by_feature(model, values, kept.pairs)
+    return product(of_features, jnp.asarray(model.layout.sheet_of_feature, of_features.dtype))
 
 
 def let_through(model: Model, normal: Array, kept: Kept) -> Array:

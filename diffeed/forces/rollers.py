@@ -69,27 +69,24 @@ def _sheet_on_rollers(model: Model, pairs: Pairs, step: Step, kept: Kept, beside
     gs = -kept.spin_lever
     own = [f_n * gn + f_t * gt, f_t * gs]
     if not step.implicit:  # no end of a step is felt: nothing is coupled
-        rhs = jnp.sum(by_circle(model, kept, jnp.stack(own)[None], roller, kind)[0], axis=1)
+        rhs = jnp.sum(by_circle(model, kept, [own], roller, kind)[0], axis=1)
         return beside._replace(rhs=beside.rhs + rhs)
     an, at, asp = a_n * gn, a_t * gt, a_t * gs
     felt_by = []
     for lever in jax.tree.map(lambda v: v[:n], pairs.levers):
         rn, rt = lever.rn, lever.rt
         # What the bar couples (x, y, turning) to a travel and to a spin.
-        coupled = [an * nx - at * ny, -asp * ny, an * ny + at * nx, asp * nx, an * rn + at * rt, asp * rt]
-        felt_by += [shared(lever, v) for v in coupled]
-    felt_by += [an * gn + at * gt, asp * gs, *own]
-    table = jnp.stack(felt_by).reshape(-1, 2, *nx.shape)
-    rows = by_circle(model, kept, table, roller, kind)
+        coupled = [(an * nx - at * ny, -asp * ny), (an * ny + at * nx, asp * nx), (an * rn + at * rt, asp * rt)]
+        felt_by += [[shared(lever, v) for v in both] for both in coupled]
+    felt_by += [[an * gn + at * gt, asp * gs], own]
+    rows = by_circle(model, kept, felt_by, roller, kind)
     columns = to_bars(model, jnp.split(rows[:-2], len(pairs.levers))).swapaxes(0, 1)
     diagonal, rhs = jnp.sum(rows[-2:], axis=2)
     mixed = beside.mixed
     if rollers.counts[1]:
         # A movable free roller has both: its travel and its spin couple through friction.
         travel = _both(rollers.counts)[0]
-        mixed = mixed + _twice(
-            rollers.counts, jnp.sum(by_circle(model, kept, (at * gs)[None, None], roller[travel])[0], axis=1)
-        )
+        mixed = mixed + _twice(rollers.counts, jnp.sum(by_circle(model, kept, [[at * gs]], roller[travel])[0], axis=1))
     return beside._replace(columns=columns, rhs=beside.rhs + rhs, own=beside.own + diagonal, mixed=mixed)
 
 
@@ -142,23 +139,24 @@ def _on_partners(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, A
 
 
 def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
-    """Rows of g_n and g_t in all unknowns, (pairs, border): their weighed product, and the right-hand side."""
+    """g_n and g_t of all pairs in all unknowns, (border, 2 pairs): their weighed product, and the right-hand side."""
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
     start = rollers.counts[0]
     count = pairs.gap.shape[0]
-    gn, gt = jnp.zeros((count, m)), jnp.zeros((count, m + f))
+    gn, gt = jnp.zeros((m, count)), jnp.zeros((m + f, count))
     for side, given in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
         index = jnp.asarray(given, jnp.int32)
-        at_travel = jax.nn.one_hot(index, m, dtype=gn.dtype)
-        at_spin = jax.nn.one_hot(index - start, f, dtype=gn.dtype)
-        along = pairs.nx[:, None] * rollers.dir_x[None, :] + pairs.ny[:, None] * rollers.dir_y[None, :]
-        across = pairs.nx[:, None] * rollers.dir_y[None, :] - pairs.ny[:, None] * rollers.dir_x[None, :]
+        at_travel = jax.nn.one_hot(index, m, dtype=gn.dtype, axis=0)
+        at_spin = jax.nn.one_hot(index - start, f, dtype=gn.dtype, axis=0)
+        along = pairs.nx[None, :] * rollers.dir_x[:, None] + pairs.ny[None, :] * rollers.dir_y[:, None]
+        across = pairs.nx[None, :] * rollers.dir_y[:, None] - pairs.ny[None, :] * rollers.dir_x[:, None]
         gn = gn + side * at_travel * along
-        gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][:, None]], axis=1)
-    rows = jnp.concatenate([jnp.pad(gn, ((0, 0), (0, f))), gt])
+        gt = gt + jnp.concatenate([side * at_travel * across, -at_spin * rollers.radius[index][None, :]])
+    both = jnp.concatenate([jnp.pad(gn, ((0, f), (0, 0))), gt], axis=1)
+    force = jnp.concatenate([f_n, f_t])
     if not step.implicit:
-        return jnp.zeros((m + f, m + f)), product(rows.T, jnp.concatenate([f_n, f_t]))
-    weighed = jnp.concatenate([a_n, a_t])[:, None] * rows
-    found = product(rows.T, jnp.concatenate([weighed, jnp.concatenate([f_n, f_t])[:, None]], axis=1))
+        return jnp.zeros((m + f, m + f)), product(both, force)
+    weighed = jnp.concatenate([a_n, a_t])[None, :] * both
+    found = product(both, jnp.concatenate([weighed, force[None, :]]).T)
     return found[:, :-1], found[:, -1]

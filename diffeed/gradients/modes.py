@@ -15,8 +15,9 @@ import numpy as np
 from jax import Array
 
 from diffeed.input.check_records import checked
+from diffeed.input.check_values import show
 from diffeed.input.parts import Scene
-from diffeed.input.paths import numbers_at, put
+from diffeed.input.paths import listed_paths, numbers_at, put
 from diffeed.model.build import build
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run import error_control
@@ -122,10 +123,26 @@ def value_and_gradient(
         if mode == "forward":
             raise ValueError("the gradient with respect to every number needs mode='reverse'; or name some paths")
         return _program(measure, how, "whole")(scene, {}, tolerance)
-    values = {p: jnp.asarray(numbers_at(scene, p)) for p in paths}
+    values = {p: jnp.asarray(numbers_at(scene, p)) for p in listed_paths(paths)}
     count = sum(v.size for v in values.values())
     chosen = gradient_plan(scene, count, duration, dt, frames, mode, tolerance, most_steps).mode
     return _program(measure, how, chosen)(scene, values, tolerance)
+
+
+def _scalar(found: Any, measure: Measure) -> Array:
+    """What a measure gives, if it is one number that can have a derivative."""
+    if found is None:
+        what = "nothing: is its return missing?"
+    elif isinstance(found, (float, np.floating)):
+        return jnp.asarray(found)
+    elif not isinstance(found, (jax.Array, np.ndarray)):
+        what = show(found)
+    elif found.shape == () and jnp.issubdtype(found.dtype, jnp.floating):
+        return jnp.asarray(found)
+    else:
+        what = f"{' x '.join(map(str, found.shape)) or 'one'} of {found.dtype}"
+    name = getattr(measure, "__name__", "the measure")
+    raise TypeError(f"a measure must give one number with a fraction, but {name} gives {what}")
 
 
 @functools.lru_cache(maxsize=16)
@@ -135,7 +152,7 @@ def _program(measure: Measure, how: tuple[Any, ...], mode: str) -> Callable[...,
 
     def value(scene: Scene, tolerance: Any) -> Array:
         run = simulate(scene, duration, dt, frames, method, observe=observe, tolerance=tolerance, most_steps=most_steps)
-        return measure(scene, run)
+        return _scalar(measure(scene, run), measure)
 
     if mode == "whole":
         return jax.jit(lambda scene, values, tolerance: jax.value_and_grad(value)(scene, tolerance))

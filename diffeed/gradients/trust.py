@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.names import hint
 from diffeed.input.check_records import checked
 from diffeed.input.parts import Scene
-from diffeed.input.paths import numbers_at, put, unit
+from diffeed.input.paths import PathError, listed_paths, numbers_at, put, unit
 from diffeed.readings.trajectory import Trajectory
 from diffeed.run.rollout import MOST_STEPS, simulate
 from diffeed.steppers import DEFAULT
@@ -90,9 +91,14 @@ def gradient_check(
     a designer would make, by path; 0.2 % of the value otherwise (0.02 mm for a roller of 10 mm). `times`: where to report
     (the nearest frames); None: the end. `samples` runs are spread over each span.
     """
-    scene = checked(scene)
+    scene, paths = checked(scene), listed_paths(paths)
+    for path in paths:
+        if np.ndim(numbers_at(scene, path)):
+            raise PathError(f'"{path}" is a vector: name its entries, "{path}[0]" and so on')
     start = np.array([float(numbers_at(scene, p)) for p in paths])
     spans = spans or {}
+    if strange := [name for name in spans if name not in paths]:
+        raise ValueError(f'spans names "{strange[0]}", which is none of the paths{hint(strange[0], paths)}')
     widths = np.array([spans.get(p, 2e-3 * abs(v) or 1e-3) for p, v in zip(paths, start, strict=True)])
     run_of = functools.partial(
         simulate, duration=duration, dt=dt, frames=frames, method=method, observe=observe,

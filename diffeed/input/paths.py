@@ -15,7 +15,7 @@ import numpy as np
 from diffeed.base.names import hint
 from diffeed.base.records import fields, replace
 from diffeed.input.check_values import measure, show
-from diffeed.input.parts import OF_THE_FIELD, Motion, Profile, Scene
+from diffeed.input.parts import OF_THE_FIELD, SECTIONS, Motion, Profile, Scene
 
 T = TypeVar("T")
 LONGEST = 300
@@ -39,13 +39,38 @@ def get(scene: Scene, path: str) -> Any:
 
 
 def put(scene: T, path: str, value: Any) -> T:
-    """A copy of the scene with another value at a path; the rest is shared.
+    """A copy of the scene with another value at a path; the scene itself stays as it is.
 
-    Numbers may be traced and become arrays, words stay static; "none" takes an optional number away. Whether the value is
-    sound, `diffeed.check` says. PathError, a ValueError, for a path that leads nowhere and for a word in place of a number.
+    Numbers may be traced and become arrays, words stay static; "none" takes an optional number away. A record at the name of
+    a part adds it, `put(scene, "guides.new", LineGuide(...))`; None takes it away. Whether the value is sound, `diffeed.check`
+    says. PathError, a ValueError, for a path that leads nowhere and for a word in place of a number.
     """
     names, index = _split(path)
+    if isinstance(scene, Scene) and len(names) == 2 and not index and names[0] in SECTIONS:
+        return _with_part(scene, names[0], names[1], value, path)
     return _put(scene, names, 0, path, lambda old, f: _changed(old, f, index, value, path))
+
+
+def _with_part(scene: Any, section: str, name: str, value: Any, path: str) -> Any:
+    parts = dict(getattr(scene, section))
+    kinds = tuple(SECTIONS[section].values())
+    if value is None or (isinstance(value, str) and value == "none"):
+        _child(parts, name, section, path)
+        del parts[name]
+    elif isinstance(value, kinds):
+        parts[name] = value
+    else:
+        if not hasattr(value, "__dataclass_fields__"):
+            _child(parts, name, section, path)
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise PathError(f'"{path}" is a whole part: it must be a {wanted}, or none, but is {show(value)}')
+    return replace(_own(scene), **{section: parts})
+
+
+def _own(node: Any) -> Any:
+    """The same record with dictionaries of its own, so that a copy's parts are not those of the original."""
+    held = {f.name: getattr(node, f.name) for f in fields(node)}
+    return replace(node, **{name: dict(value) for name, value in held.items() if isinstance(value, dict)})
 
 
 def unit(scene: Scene, path: str) -> str:
@@ -71,6 +96,15 @@ def numbers_at(scene: Scene, path: str) -> Any:
     if value is None or isinstance(value, Profile):
         raise PathError(f'"{path}" is not a number: it is {"not given" if value is None else "a profile"}')
     return value
+
+
+def listed_paths(paths: Any) -> tuple[str, ...]:
+    """Paths given as a list. PathError for a single one in its place, and for none."""
+    if isinstance(paths, str):
+        raise PathError(f'paths must be a list of paths, but is one word: write ["{paths}"]')
+    if not (listed := tuple(paths)):
+        raise PathError("paths names no number: at least one is needed")
+    return listed
 
 
 def numbers(scene: Any) -> dict[str, Any]:
@@ -124,7 +158,11 @@ def _child(node: Any, name: str, parent: str, path: str) -> Any:
     if name in known:
         return known[name]
     where = parent or "a scene"
+    if homes := [s for s in SECTIONS if isinstance(node, Scene) and name in getattr(node, s)]:
+        raise PathError(f'"{path}": a scene has no "{name}"; did you mean "{homes[0]}.{name}"?')
     if not known:
+        if not isinstance(node, (dict, Scene)) and not parent:
+            raise PathError(f'"{path}" is looked for in a scene, but this is {show(node)}')
         what = "holds nothing" if isinstance(node, dict) or node is None else "has no fields"
         raise PathError(f'"{path}": {where} {what}, so there is no "{name}"')
     raise PathError(f'"{path}": {where} has no "{name}"{hint(name, known)}')
@@ -145,7 +183,7 @@ def _put(node: Any, names: list[str], depth: int, path: str, change: Callable[[A
     child = _child(node, name, ".".join(names[:depth]), path)
     last = depth == len(names) - 1
     new = change(child, _field(node, name)) if last else _put(child, names, depth + 1, path, change)
-    return {**node, name: new} if isinstance(node, dict) else replace(node, **{name: new})
+    return {**node, name: new} if isinstance(node, dict) else replace(_own(node), **{name: new})
 
 
 def _changed(old: Any, field: Any, index: tuple[int, ...], value: Any, path: str) -> Any:

@@ -215,10 +215,33 @@ def _mass(path: str, roller: MovableRoller, _: Scene) -> Iterator[str]:
         yield f"{path}.mass is {mass:g} kg: in g? A pinch roller has 0.01 to 0.5 kg"
 
 
+def _out_of_reach(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
+    """A pinch whose stop holds it off every roller that it is near: no sheet is pressed there."""
+    center, way, radius = sound(roller, "center"), sound(roller, "direction"), _number(roller, "radius")
+    stop, sheets = _number(roller, "travel_min"), [_number(s, "thickness") or 0.0 for s in scene.sheets.values()]
+    if center is None or way is None or radius is None or stop is None or not sheets or not np.any(way):
+        return
+    nearest, gap = "", NIP
+    for name, other in sorted(scene.rollers.items()):
+        place, size = sound(other, "center"), _number(other, "radius")
+        if other is roller or place is None or size is None:
+            continue
+        left = float(np.hypot(*(center + stop * way / np.hypot(*way) - place))) - radius - size
+        nearest, gap = (name, left) if left < gap else (nearest, gap)
+    if nearest and gap > max(sheets):
+        yield (
+            f"{path} stops {gap:.3g} mm before rollers.{nearest} (travel_min = {stop:g} mm): no sheet is pressed there, for the"
+            f" thickest has {max(sheets):g} mm"
+        )
+
+
 def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
     center, way, radius = sound(roller, "center"), sound(roller, "direction"), _number(roller, "radius")
     preload = _number(roller, "preload")
-    if center is None or way is None or radius is None or not preload or preload < 0:
+    if preload and preload < 0:
+        yield f"{path}.preload is {preload:g} N, which opens the nip: the spring pushes against `direction` where it is > 0"
+        return
+    if center is None or way is None or radius is None or not preload:
         return
     for name, other in sorted(scene.rollers.items()):
         place, size = sound(other, "center"), _number(other, "radius")
@@ -266,5 +289,5 @@ _RULES: dict[type, tuple[Rule, ...]] = {
     CircleGuide: (_moved,),
     Contact: (_contact,),
     FixedRoller: (_drive, _moved),
-    MovableRoller: (_drive, _mass, _pinch),
+    MovableRoller: (_drive, _mass, _pinch, _out_of_reach),
 }

@@ -13,6 +13,8 @@ def stack(scenes: list[Scene]) -> Scene:
 
     Shorter profiles repeat their last point. Raises ValueError, naming the path, where structures differ.
     """
+    if isinstance(scenes, Scene):
+        raise TypeError("stack takes a list of scenes, but this is one scene")
     if not scenes:
         raise ValueError("stack needs at least one scene")
     made = [_flat(s) for s in scenes]

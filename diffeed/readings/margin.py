@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.names import known_name
 from diffeed.base.products import product
 from diffeed.base.smooth import polar, ramp, soft_max
 from diffeed.input.packing import jit_of_scene, stacked
@@ -36,15 +37,17 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
 
     progress: fed distance over the distance that brings the tail to the scene's goal (straight from lead to goal; from the
     tail if the sheet lies in the gate at the start, or runs tail first), less 1; without a goal, over half the commanded
-    distance. buckling: compression between nips against the Euler load of a free span with held ends. fold: turn over three
-    joints against 150 degrees. attack: angle at which the head meets a guide against the angle at which friction holds it
-    fast, 90 degrees less the friction angle. gap: depth to which the head is pressed into a guide against half a millimetre.
+    distance. buckling: compression between nips against the Euler load of a free span with held ends (guides that hold the sheet
+    are not seen: in a narrow channel leave this part out). fold: turn over three joints against 150 degrees. attack: angle at
+    which the head meets a guide against the angle at which friction holds it fast, 90 degrees less the friction angle. gap: depth
+    to which the head is pressed into a guide against half a millimetre.
     """
     scene = normalise(scene)
     for name in NEEDS:
         if name not in trajectory.observed:
             raise ValueError(f'jam_margins needs simulate(..., observe={NEEDS}), but "{name}" was not observed')
     name = min(scene.sheets) if sheet is None else sheet
+    known_name("sheet", name, scene.sheets)
     model = jax.eval_shape(build, scene)  # names and counts only
     near = approach(scene, trajectory.states) if model.lines.names or model.arcs.names else None
     found: dict[str, Array] = _parts(scene, trajectory, near, name)

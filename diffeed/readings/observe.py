@@ -24,7 +24,7 @@ from diffeed.forces.contacts import Contacts
 from diffeed.forces.energy import Powers, energies, powers
 from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
-from diffeed.readings import spans
+from diffeed.readings import pressed_guides, spans
 from diffeed.readings.snapshot import (
     Pressed,
     gaps_to_bodies,
@@ -323,15 +323,15 @@ class Feed:
     """Distances so far, mm, (sheets,)."""
 
     fed: Any = number(unit="mm", doc="distance that the sheet has moved along itself")
-    driven: Any = number(unit="mm", doc="the part of it while a driven roller that turns touched the sheet")
+    driven: Any = number(unit="mm", doc="distance that it has moved under the driven rollers in contact that turn")
     commanded: Any = number(unit="mm", doc="distance that the driven rollers in contact have turned")
     longest_stall: Any = number(unit="s", doc="longest time at less than a tenth of the commanded speed")
     stall: Any = number(unit="s", doc="time of the present stall")
 
 
-def _driven(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
+def _driven(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array, Array]:
     """Of the kept pairs with circles: by how much driven rollers press, kg mm/s2, and that times their surface speed along the
-    heading of the sheet."""
+    heading of the sheet, and times the speed of the sheet there."""
     n, circles, near = model.rollers.n, len(model.circle_names), slice(kept.n_circles)
     assert touching.sheets is not None
     pairs, of_near = jax.tree.map(lambda v: v[near], touching.sheets), part(kept.pairs, kept.pairs, near)
@@ -339,21 +339,28 @@ def _driven(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]
     driven, speed = np.zeros(circles), jnp.zeros((circles,)).at[:n].set(touching.spin * model.rollers.radius)
     driven[:n] = model.rollers.driven
     force = pairs.touch.force * pick(jnp.asarray(driven, pairs.gap.dtype), kept.circle_index)
-    return force, force * (pairs.nx * s - pairs.ny * c) * pick(speed, kept.circle_index)
+    along, speed = pairs.nx * s - pairs.ny * c, pick(speed, kept.circle_index)
+    return force, force * along * speed, force * along * (speed + pairs.v_t)
 
 
 def commanded_speed(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array]:
     """(sheets,) mm/s: surface speed along the heading of the driven rollers that touch a sheet, weighted by force; and that
     force, kg mm/s2."""
+    wanted, _, force = speeds_at_drives(model, touching, kept)
+    return wanted, force
+
+
+def speeds_at_drives(model: Model, touching: Contacts, kept: Kept) -> tuple[Array, Array, Array]:
+    """The same, and between the two the speed of the sheet there."""
     if touching.sheets is None or model.rollers.n == 0:
         nothing = jnp.zeros((len(model.layout.names),))
-        return nothing, nothing
-    force, pull = _driven(model, touching, kept)
+        return nothing, nothing, nothing
+    force, pull, moved = _driven(model, touching, kept)
     # One product instead of slices: each slice would compute the contact law again.
     own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
     of_near = part(kept.pairs, kept.pairs, slice(kept.n_circles))
-    pull, force = product(by_feature(model, jnp.stack([pull, force]), of_near), own)
-    return divide(pull, force), force
+    pull, moved, force = product(by_feature(model, (pull, moved, force), of_near), own)
+    return divide(pull, force), divide(moved, force), force
 
 
 def surface_speeds(model: Model, touching: Contacts) -> Array:
@@ -362,7 +369,7 @@ def surface_speeds(model: Model, touching: Contacts) -> Array:
     n = model.rollers.n
     if touching.sheets is None or n == 0:
         return jnp.zeros((len(model.layout.names), n))
-    force, pull = (v[:n] for v in _driven(model, touching, keep_all(model)))
+    force, pull, _ = (v[:n] for v in _driven(model, touching, keep_all(model)))
     own = jnp.asarray(model.layout.sheet_of_feature, pull.dtype)
     return divide(product(pull, own), product(force, own)).T
 
@@ -379,12 +386,12 @@ def _feed_update(model: Model, scene: Scene, feed: Feed, seen: Seen) -> Feed:
 def _feed_add(model: Model, feed: Feed, touching: Contacts, kept: Kept, share: Array) -> Feed:
     at = touching.at
     speed = mean_per_sheet(model.layout, at.vx * at.c + at.vy * at.s)
-    wanted, _ = commanded_speed(model, touching, kept)
+    wanted, there, _ = speeds_at_drives(model, touching, kept)
     stalled = (jnp.abs(wanted) > 0) & (speed * jnp.sign(wanted) < 0.1 * jnp.abs(wanted))
     stall = jnp.where(stalled, feed.stall + share, 0.0)
     return Feed(
         fed=feed.fed + share * speed,
-        driven=feed.driven + jnp.where(wanted != 0, share * speed, 0.0),
+        driven=feed.driven + jnp.where(wanted != 0, share * there, 0.0),
         commanded=feed.commanded + share * wanted,
         longest_stall=jnp.maximum(feed.longest_stall, stall),
         stall=stall,
@@ -402,6 +409,7 @@ def _feed_close(model: Model, scene: Scene, feed: Feed, end: End) -> dict[str, F
 
 OBSERVERS: dict[str, Observer] = {
     "nips": Observer(_nips_start, _nips_update, _nips_close),
+    "guides": Observer(pressed_guides.start, pressed_guides.update, pressed_guides.close),
     "arrivals": Observer(_arrivals_start, _arrivals_update, _arrivals_close),
     "energy": Observer(_energy_start, _energy_update, _energy_close),
     "gaps": Observer(_gaps_start, _gaps_update, _gaps_close, far=True),

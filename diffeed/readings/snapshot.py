@@ -139,14 +139,17 @@ def gaps_to_guides(model: Model, gap: Array) -> Array:
     return jax.ops.segment_min(gap[model.rollers.n :], *_guide_of_body(model))
 
 
+def by_guide(model: Model, values: Array) -> Array:
+    """(bodies,) -> (guides,) in sorted order: summed over a guide's face and tips."""
+    return jax.ops.segment_sum(values[model.rollers.n :], *_guide_of_body(model))
+
+
 def guide_track(model: Model, state: State, touching: Contacts) -> GuideTrack:
     names = guide_names(model)
     force = friction = gap = jnp.zeros((0,))
     if touching.sheets is not None:
         felt = felt_by_bodies(model, touching.sheets, touching.at)
-        force, friction = (
-            jax.ops.segment_sum(v[model.rollers.n :], *_guide_of_body(model)) for v in (felt.force, felt.friction)
-        )
+        force, friction = (by_guide(model, v) for v in (felt.force, felt.friction))
         gap = gaps_to_guides(model, gaps_to_bodies(model, touching.sheets))
     shift, turn = jnp.zeros((len(names), 2)), jnp.zeros((len(names),))
     owners = {"lines": model.lines.names, "arcs": model.arcs.names, "circles": model.circle_names}

@@ -52,7 +52,7 @@ def update(model: Model, scene: Scene, sums: SpanSums, seen: Any) -> SpanSums:
         return sums
     tension = seen.after.stretch / (2.0 * model.bars.half_length) / NEWTON
     kept, driven = seen.kept, np.flatnonzero(model.rollers.driven)
-    force = by_circle(model, kept, seen.touching.sheets.touch.force[None, None, : kept.n_circles], driven)[0]
+    force = by_circle(model, kept, [[seen.touching.sheets.touch.force[: kept.n_circles]]], driven)[0]
     found = [_spans(model, scene, k, name, tension, force) for k, name in enumerate(model.layout.names)]
     weight, pull, ratio = (jnp.stack(v) for v in zip(*found, strict=True))  # (sheets, pairs) each
     # What joints pull is a number of the step, not of its ends: it counts for all of it.

@@ -142,7 +142,18 @@ def _wrong_way(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) ->
         told = f"; {forwards} drives it forwards and {backwards} backwards at the same time ({turns})"
     if scene.goal and bool(jnp.any(_crosses(scene, trajectory, name, -1.0))):
         told += f"; its tail passed sensor {scene.goal} against the sensor's direction"
-    return told
+    return told + _beside(scene, trajectory, name)
+
+
+def _beside(scene: Scene, trajectory: Trajectory, name: str) -> str:
+    """Whether the tail passed the goal's gate, but out of its range: no longer run would help."""
+    if not scene.goal:
+        return ""
+    passes, across = (np.asarray(v) for v in _passes(scene, trajectory, name, 1.0))
+    if not passes.any():
+        return ""
+    nearest, reach = float(across[passes].min()), float(scene.sensors[scene.goal].range)
+    return f"; its tail passed {nearest:.3g} mm beside sensor {scene.goal}, whose range is {reach:g} mm"
 
 
 def _against_each_other(speed: np.ndarray) -> tuple[int, int] | None:
@@ -198,11 +209,17 @@ def _passed_goal(scene: Scene, trajectory: Trajectory, name: str) -> Array:
 def _crosses(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> Array:
     """(frames - 1,) bool: whether between two frames the tail crosses the goal's gate, along its direction (`sense` 1) or
     against it (-1)."""
+    passes, across = _passes(scene, trajectory, name, sense)
+    return passes & (across < scene.sensors[scene.goal].range)
+
+
+def _passes(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> tuple[Array, Array]:
+    """The same for the whole line of the gate, and how far beside the sensor, mm."""
     sensor = scene.sensors[scene.goal]
     way = sense * sensor.direction / jnp.sqrt(jnp.sum(sensor.direction**2))
     offset = trajectory.sheets[name].nodes[:, -1] - sensor.position[None]
     along, across = product(offset, way), jnp.abs(offset[:, 1] * way[0] - offset[:, 0] * way[1])
-    return (along[:-1] < 0) & (along[1:] >= 0) & (across[1:] < sensor.range)
+    return (along[:-1] < 0) & (along[1:] >= 0), across[1:]
 
 
 def _is_folded(headings: Array) -> Array:

@@ -15,7 +15,7 @@ from diffeed.chain.state import State, initial_state
 from diffeed.contact.crossing import Misplaced, misplaced
 from diffeed.contact.kept import allowed_depths, keep_all
 from diffeed.input.check_records import check_records
-from diffeed.input.check_values import show
+from diffeed.input.check_values import measure, show
 from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene, normalise
 from diffeed.model.arrays import Model
@@ -45,13 +45,13 @@ def check(
     method = DEFAULT if method is None else method
     if method not in STEPPERS:
         problems.append(f"method must be one of {', '.join(STEPPERS)}, but is {method!r}")
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        problems.append(f"dt must be > 0 s, but is {dt}")
-    if tolerance is not None:
-        if not (np.isfinite(tolerance) and tolerance > 0):
-            problems.append(f"tolerance must be > 0 mm, but is {tolerance}")
-        if method not in ESTIMATING:
-            problems.append(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
+    for name, value, of in (("dt", dt, "s"), ("tolerance", tolerance, "mm")):
+        given = measure(value)
+        sure = given is not None and given.shape == () and given.entries is not None and 0.0 < given.entries < np.inf
+        if value is not None and not sure:
+            problems.append(f"{name} must be > 0 {of}, but is {show(value)}")
+    if tolerance is not None and method not in ESTIMATING:
+        problems.append(f"with a tolerance, method must be one of {', '.join(ESTIMATING)}, but is {method!r}")
     if problems:
         return problems
     scene = normalise(scene)

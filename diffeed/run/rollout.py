@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
 from diffeed.base.limits import MAX_STEPS, run_problem, scene_size
 from diffeed.base.records import replace
@@ -105,6 +106,11 @@ def simulate(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"simulate takes a Scene (of diffeed.load_scene or diffeed.scene), but this is {show(scene)}")
+    for name, value in (("dt", dt), ("duration", duration)):
+        if isinstance(value, Tracer):
+            raise TypeError(
+                f"{name} is traced, but says how many steps there are: give a Python number; `tolerance` may be traced"
+            )
     scene = checked(scene)
     warn_if_single(scene)
     duration = scene.duration if duration is None else float(duration)
@@ -115,6 +121,7 @@ def simulate(
     if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
         raise ValueError(problem)
     observe = tuple(sorted(set(observe)))
+    scene = replace(scene, goal="")  # a word for those who judge a run: another one is no other program
     if tolerance is None:
         counts = plan(duration, dt, frames)
         return _simulate(scene, duration / counts.total, initial, counts, method, observe)

@@ -55,6 +55,8 @@ def draw_sheets(ax: "Axes", scene: Scene, trajectory: Any, frames: list[int]) ->
             first = trajectory is not None and name == min(scene.sheets)
             label = f"{outlines.time(trajectory)[frame]:.3g} s" if first else None
             label = f"sheet at {label}" if label and frame == frames[0] else label
+            if label and frame == frames[-1] and not outlines.holds(trajectory):
+                label = f"{label}: failed"
             ax.plot(*nodes.T, color=shade, linewidth=width, label=label, solid_capstyle="round", zorder=5)
 
 
@@ -77,7 +79,8 @@ def write_names(ax: "Axes", scene: Scene, trajectory: Any, frames: list[int]) ->
     left, bottom, right, top = scale * np.asarray(ax.get_window_extent().extents)
     anchors = _anchors(ax, scene, trajectory, frames[-1])
     wanted = [
-        _wanted(name, points * scale, _back(scene, trajectory, name, frames[-1])) for name, points in anchors.items()
+        _wanted(name, points * scale, _back(scene, trajectory, section, name, frames[-1]))
+        for (section, name), points in anchors.items()
     ]
     for label, spot in zip(wanted, labels.place(wanted, obstacles, (left, bottom, right, top)), strict=True):
         _write_name(ax, label, spot, scale)
@@ -161,28 +164,28 @@ def _wanted(name: str, anchors: np.ndarray, side: tuple[float, float]) -> labels
     return labels.Label(name, (0.56 * SMALL * len(name) + 2.0, SMALL + 1.5), anchors, side)
 
 
-def _back(scene: Scene, trajectory: Any, name: str, frame: int) -> tuple[float, float]:
+def _back(scene: Scene, trajectory: Any, section: str, name: str, frame: int) -> tuple[float, float]:
     """Where a guide has its back to the sheet; zero for other parts."""
-    if name not in scene.guides:
+    if section != "guides":
         return (0.0, 0.0)
     x, y = np.sum(np.diff(outlines.guide_at(scene, trajectory, name, frame).ticks, axis=1), axis=(0, 1))
     return (float(x), float(y))
 
 
-def _anchors(ax: "Axes", scene: Scene, trajectory: Any, frame: int) -> dict[str, np.ndarray]:
-    """Points of the page beside which the name of a part may stand."""
+def _anchors(ax: "Axes", scene: Scene, trajectory: Any, frame: int) -> dict[tuple[str, str], np.ndarray]:
+    """Points of the page beside which the name of a part may stand, by section and name."""
     spots = {}
     for name in sorted(scene.rollers):
         center = outlines.center(scene, trajectory, name, frame)
-        spots[name] = outlines.circle(center, float(scene.rollers[name].radius))[::12]
+        spots["rollers", name] = outlines.circle(center, float(scene.rollers[name].radius))[::12]
     for name in sorted(scene.guides):
         face = outlines.guide_at(scene, trajectory, name, frame).face
-        spots[name] = face[np.unique(np.linspace(0, len(face) - 1, 9).astype(int))]
+        spots["guides", name] = face[np.unique(np.linspace(0, len(face) - 1, 9).astype(int))]
     for name in sorted(scene.sensors):
-        spots[name] = outlines.gate(scene.sensors[name])
+        spots["sensors", name] = outlines.gate(scene.sensors[name])
     for name in sorted(scene.clamps):
-        spots[name] = outlines.clamp_point(scene, trajectory, name, frame)[None]
-    return {name: ax.transData.transform(points) for name, points in spots.items()}
+        spots["clamps", name] = outlines.clamp_point(scene, trajectory, name, frame)[None]
+    return {part: ax.transData.transform(points) for part, points in spots.items()}
 
 
 def _drawn(ax: "Axes", scene: Scene, trajectory: Any, frames: list[int]) -> list[np.ndarray]:

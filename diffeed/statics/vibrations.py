@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.core import Tracer
 
 from diffeed.base.products import product
 from diffeed.base.records import record, replace, word
@@ -43,12 +44,27 @@ class Linearisation:
     basis: Any  # (coordinates, n)
     sheets: tuple[str, ...] = word(default=(), doc="names of the sheets", type=tuple)
 
-    def modes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Undamped angular frequencies (rad/s, ascending; NaN-free: an unstable mode is negative) and shapes in columns."""
+    def modes(self) -> tuple[Any, Any]:
+        """Undamped angular frequencies (rad/s, ascending; NaN-free: an unstable mode is negative, one of rounding alone is near
+        0) and shapes in columns. Inside a trace too: frequencies that differ from their neighbours have derivatives."""
+        if isinstance(self.stiffness, Tracer) or isinstance(self.mass, Tracer):
+            return self._traced_modes()
         import scipy.linalg
 
         square, shapes = scipy.linalg.eigh(np.asarray(self.stiffness), np.asarray(self.mass))
         return np.sign(square) * np.sqrt(np.abs(square)), np.asarray(self.basis) @ shapes
+
+    def _traced_modes(self) -> tuple[Array, Array]:
+        """The same by JAX: the mass is taken out by its factor, which leaves a symmetric matrix."""
+        root = jnp.linalg.cholesky(self.mass)
+
+        def scaled(matrix: Array) -> Array:
+            return lax.linalg.triangular_solve(root, matrix, left_side=True, lower=True)
+
+        square, turned = jnp.linalg.eigh(scaled(scaled(self.stiffness).T))
+        shapes = lax.linalg.triangular_solve(root, turned, left_side=True, lower=True, transpose_a=True)
+        size = jnp.where(square == 0.0, 1.0, jnp.abs(square))  # the root has no derivative at 0
+        return jnp.where(square == 0.0, 0.0, jnp.sign(square) * jnp.sqrt(size)), product(self.basis, shapes)
 
     def buckling_factors(self, loaded: "Linearisation", share: float = 1.0) -> np.ndarray:
         """Factors on the load at which the stiffness becomes singular, ascending, if `loaded` carries `share` of it and

@@ -38,7 +38,7 @@ class Grid {
   }
 }
 
-// wanted: [{text, width, anchors: [[x, y]], side: [x, y]}] in px. Returns {text, anchor (its index), dx, dy} or leaves a name out.
+// wanted: [{key, text, width, anchors: [[x, y]], side: [x, y]}] in px. Returns {key, text, anchor (its index), dx, dy} or leaves a name out.
 function placeLabels(wanted, grid) {
   const places = [];
   for (const label of [...wanted].sort((a, b) => b.width - a.width)) {
@@ -64,7 +64,7 @@ function cheapest(label, grid) {
         const wrong = dx * label.side[0] + dy * label.side[1] < 0 ? 5 : 0;
         if (best !== null && 0.2 * ring + wrong >= best.cost) continue;
         const cost = 0.2 * ring + wrong + grid.covered(box);
-        if (best === null || cost < best.cost) best = { text: label.text, anchor, dx, dy, halfWidth, halfHeight, box, cost };
+        if (best === null || cost < best.cost) best = { key: label.key, text: label.text, anchor, dx, dy, halfWidth, halfHeight, box, cost };
       }
     }
   });

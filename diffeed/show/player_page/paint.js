@@ -236,7 +236,7 @@ class Painter {
       this.names = placeLabels(this.wantedNames(anchors), this.coveredPlaces(run, moment));
       this.namesFor = key;
     }
-    for (const name of this.names) this.writeName(name, anchors[name.text].points[name.anchor]);
+    for (const name of this.names) this.writeName(name, anchors[name.key].points[name.anchor]);
   }
 
   // Places stay while the picture moves a little, so that names do not jump.
@@ -272,27 +272,27 @@ class Painter {
   }
 
   wantedNames(anchors) {
-    return Object.entries(anchors).map(([text, { points, side }]) => ({ text, anchors: points, side, width: this.context.measureText(text).width }));
+    return Object.entries(anchors).map(([key, { text, points, side }]) => ({ key, text, anchors: points, side, width: this.context.measureText(text).width }));
   }
 
-  // Points on the page beside which each name may stand, and the side on which it should.
+  // By section and name, points on the page beside which each name may stand, and the side on which it should.
   nameAnchors(run, moment) {
     const { view } = this, found = {};
     for (const [name, roller] of Object.entries(run.rollers)) {
       const [x, y] = rollerCenter(roller, moment);
       const rim = (k) => view.toPage(x + roller.radius * Math.cos((k * Math.PI) / 8), y + roller.radius * Math.sin((k * Math.PI) / 8));
-      found[name] = { points: Array.from({ length: 16 }, (_, k) => rim(k)), side: [0, 0] };
+      found[`rollers.${name}`] = { text: name, points: Array.from({ length: 16 }, (_, k) => rim(k)), side: [0, 0] };
     }
     for (const [name, guide] of Object.entries(run.guides)) {
       const pose = guidePose(guide, moment), last = guide.face.length - 1;
       const at = (k) => view.toPage(...pose(...guide.face[Math.round((k * last) / 8)]));
       const back = guide.ticks.reduce((sum, [x0, y0, x1, y1]) => [sum[0] + x1 - x0, sum[1] - y1 + y0], [0, 0]);
-      found[name] = { points: Array.from({ length: 9 }, (_, k) => at(k)), side: back };
+      found[`guides.${name}`] = { text: name, points: Array.from({ length: 9 }, (_, k) => at(k)), side: back };
     }
-    for (const [name, gate] of Object.entries(run.sensors)) found[name] = { points: gate.map((end) => view.toPage(...end)), side: [0, 0] };
+    for (const [name, gate] of Object.entries(run.sensors)) found[`sensors.${name}`] = { text: name, points: gate.map((end) => view.toPage(...end)), side: [0, 0] };
     for (const [name, clamp] of Object.entries(run.clamps)) {
       const nodes = sheetNodes(run.sheets[clamp.sheet], moment);
-      found[name] = { points: [view.toPage(nodes[2 * clamp.node], nodes[2 * clamp.node + 1])], side: [0, 0] };
+      found[`clamps.${name}`] = { text: name, points: [view.toPage(nodes[2 * clamp.node], nodes[2 * clamp.node + 1])], side: [0, 0] };
     }
     return found;
   }
