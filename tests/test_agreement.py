@@ -117,8 +117,18 @@ def test_what_rollers_do_differently_is_told(scene, run):
     found = compared({"nips": seen(slip_rms=16.6, force_peak=0.1)}, {"nips": seen(slip_rms=47.2, force_peak=0.3)})
     assert found.unsure == ("slip RMS of drive, 16.6 mm/s here and 47.2 there",)
     assert found.holds
-    assert found.sentence().endswith(f"Not confirmed of the rollers: {found.unsure[0]}.")
+    assert found.sentence().endswith(f"Not confirmed of rollers and guides: {found.unsure[0]}.")
     assert compared({}, {"nips": seen()}).unsure == ()
+
+
+def test_what_guides_bear_differently_is_told(scene, run):
+    def seen(peak):
+        return {"guides": {"turn": Nip(*[0.0, 1.0, peak, 0.0]), "entry": Nip(*[0.0, 1.0, 1.0, 0.0])}}
+
+    first, second = (replace(run, observed=seen(peak)) for peak in (3.9, 1.2))
+    found = diffeed.confirm(scene, first, second)
+    assert found.unsure == ("normal peak of turn, 3.9 N here and 1.2 there",)
+    assert diffeed.confirm(scene, first, first).unsure == ()
 
 
 def test_other_frames_are_refused(scene, run):

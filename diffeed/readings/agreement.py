@@ -30,6 +30,8 @@ MOST = 5
 """Differences that are told."""
 OF_ROLLERS = ("slip_rms", "force_mean", "force_peak", "torque_mean")
 """What of a roller is held against the finer run, where both observed `nips`."""
+OF_GUIDES = ("force_mean", "force_peak")
+"""What of a guide, where both observed `guides`."""
 
 
 def finer(dt: float | None = None, tolerance: float | None = None, most_steps: int | None = None) -> dict[str, Any]:
@@ -53,7 +55,7 @@ class Confirmation(NamedTuple):
     after: str  # and of the finer one
     until: float  # s, up to which the runs were compared: when the fate of the last sheet was decided, or the end
     holds: bool  # they have one status, and are no further apart than TOLD, WIDEST and SHARE allow
-    unsure: tuple[str, ...] = ()  # what of the rollers differs, in words; empty where `nips` were not observed
+    unsure: tuple[str, ...] = ()  # what of rollers and guides differs, in words; empty where it was not observed
     later: float = 0.0  # mm, of any node after its sheet's fate was decided, which does not count
 
     @property
@@ -66,7 +68,7 @@ class Confirmation(NamedTuple):
         told = self._of_place()
         if self.holds and self.unsure:
             more = [f"and {len(self.unsure) - MOST} more"] if len(self.unsure) > MOST else []
-            told += f" Not confirmed of the rollers: {'; '.join([*self.unsure[:MOST], *more])}."
+            told += f" Not confirmed of rollers and guides: {'; '.join([*self.unsure[:MOST], *more])}."
         return told
 
     def _of_place(self) -> str:
@@ -117,13 +119,14 @@ def confirm(scene: Scene, run: Trajectory, again: Trajectory) -> Confirmation:
 
 
 def _unlike(run: Trajectory, again: Trajectory) -> Iterator[str]:
-    """What the rollers of two runs do differently, over the whole of both."""
-    if "nips" not in run.observed or "nips" not in again.observed:
-        return
-    mine, other = run.observed["nips"], again.observed["nips"]
-    for field in OF_ROLLERS:
-        values = {name: [float(getattr(nips[name], field)) for nips in (mine, other)] for name in mine}
-        largest = max((abs(v) for pair in values.values() for v in pair if np.isfinite(v)), default=0.0)
-        for name, (here, there) in values.items():
-            if abs(here - there) > max(APART * max(abs(here), abs(there)), SMALL * largest):
-                yield f"{NIP_WORDS[field]} of {name}, {here:.3g} {nip_unit(field)} here and {there:.3g} there"
+    """What the rollers and guides of two runs do differently, over the whole of both."""
+    for observer, asked in (("nips", OF_ROLLERS), ("guides", OF_GUIDES)):
+        if observer not in run.observed or observer not in again.observed:
+            continue
+        mine, other = run.observed[observer], again.observed[observer]
+        for field in asked:
+            values = {name: [float(getattr(parts[name], field)) for parts in (mine, other)] for name in mine}
+            largest = max((abs(v) for pair in values.values() for v in pair if np.isfinite(v)), default=0.0)
+            for name, (here, there) in values.items():
+                if abs(here - there) > max(APART * max(abs(here), abs(there)), SMALL * largest):
+                    yield f"{NIP_WORDS[field]} of {name}, {here:.3g} {nip_unit(field)} here and {there:.3g} there"
