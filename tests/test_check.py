@@ -328,3 +328,13 @@ def test_no_input_makes_the_check_raise(where, junk):
         except (TypeError, AttributeError):  # the first piece of junk replaced what the second path leads through
             continue
     assert all(isinstance(p, str) for p in check_records(scene))
+
+
+def test_a_step_in_words_is_a_problem_and_no_traceback():
+    scene = Scene(
+        sheets={"s": Sheet(length=40.0, thickness=0.1, width=20.0, density=1e-6, youngs_modulus=2000.0, bars=2)}
+    )
+    assert 'dt must be > 0 s, but is "1e-4"' in check(scene, dt="1e-4")
+    assert "tolerance must be > 0 mm, but is true" in check(scene, tolerance=True)
+    with pytest.raises(TypeError, match="stack takes a list of scenes, but this is one scene"):
+        diffeed.stack(scene)

@@ -162,6 +162,10 @@ def test_terms_causes_and_sizes_are_all_told(generated):
     told = generated.causes()
     for cause, remedy in zip(CAUSES[1:], REMEDIES[1:], strict=True):
         assert f"| {cause[0].upper() + cause[1:]} | {remedy[0].upper() + remedy[1:]} |" in told
+    from diffeed.forces.energy import Powers
+
+    assert set(generated.POWERS) == set(Powers._fields)
+    assert all(f"`{name}`" in generated.observed() for name in diffeed.OBSERVERS)
     from diffeed.base import limits
 
     assert rows(generated.sizes()) == {n for n in vars(limits) if n.isupper()}

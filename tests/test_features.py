@@ -242,7 +242,8 @@ def test_speed_is_along_the_lead_bar():
 
 
 def test_a_plain_second_call_traces_nothing():
-    scene = Scene(sheets={"a": paper()}, initial="given")
+    gate = diffeed.Sensor(position=(9.0, 0.0), direction=(1.0, 0.0))
+    scene = Scene(sheets={"a": paper()}, sensors={"gate": gate}, initial="given")
     traced = []
 
     def counting(name, *_, **__):
@@ -253,6 +254,7 @@ def test_a_plain_second_call_traces_nothing():
     jax.monitoring.register_event_duration_secs_listener(counting)
     try:
         diffeed.simulate(diffeed.put(scene, "sheets.a.length", 41.0), duration=0.01, dt=1e-3, frames=2)
+        diffeed.simulate(diffeed.put(scene, "goal", "gate"), duration=0.01, dt=1e-3, frames=2)
         assert traced == []
         diffeed.simulate(scene, duration=0.01, dt=1e-3, frames=3)  # another static count: the listener works
         assert traced
@@ -293,6 +295,29 @@ def test_a_run_goes_on_where_another_stopped():
 def test_senseless_arguments_are_refused(arguments, fragment):
     with pytest.raises(ValueError, match=fragment):
         diffeed.simulate(Scene(sheets={"a": paper()}), **arguments)
+
+
+def test_what_is_traced_cannot_count_steps():
+    scene = Scene(sheets={"a": paper()})
+    for use in (
+        lambda dt: diffeed.simulate(scene, duration=0.01, dt=dt).ok,
+        lambda duration: diffeed.simulate(scene, duration=duration, dt=1e-3).ok,
+    ):
+        with pytest.raises(TypeError, match="is traced, but says how many steps there are"):
+            jax.jit(use)(0.01)
+
+
+def test_what_is_no_state_of_the_scene_is_told():
+    scene = Scene(sheets={"a": paper(bars=2)}, gravity=(0.0, 0.0), initial="given")
+    how = {"duration": 0.002, "dt": 1e-3, "frames": 2}
+    run = diffeed.simulate(scene, **how)
+    with pytest.raises(TypeError, match=r"this is a Trajectory: give its `final` to go on with it, or `final\.state`"):
+        diffeed.simulate(scene, initial=run, **how)
+    with pytest.raises(TypeError, match="this is a Resume: give its `state`"):
+        diffeed.linearise(scene, run.final)
+    other = Scene(sheets={"a": paper(bars=3)}, gravity=(0.0, 0.0), initial="given")
+    with pytest.raises(ValueError, match="of sheets with 2 bars in all, but those of the scene have 3"):
+        diffeed.simulate(other, initial=run.final.state, **how)
 
 
 @pytest.mark.slow

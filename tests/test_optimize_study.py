@@ -343,3 +343,11 @@ def test_the_order_of_variables_counts():
         for v in (both, dict(reversed(both.items())), dict(both))
     ]
     assert keys[0] == keys[2] != keys[1]
+
+
+def test_a_shift_needs_its_direction():
+    moved = {"shift": ["guides.table"], "bounds": [-1.0, 1.0]}
+    with pytest.raises(optimize.StudyError, match="a shift needs its direction"):
+        make_study(GOOD | {"variables": {"aside": moved}})
+    with pytest.raises(optimize.StudyError, match="direction belongs to shift, and only there"):
+        make_study(GOOD | {"variables": {"preload": GOOD["variables"]["preload"] | {"direction": [1.0, 0.0]}}})

@@ -8,6 +8,7 @@ from diffeed.base.files import plain
 from diffeed.base.records import fields
 from diffeed.base.terminal import plain_table
 from diffeed.input.parts import Scene
+from diffeed.readings.agreement import OF_GUIDES
 from diffeed.readings.observe import NIP_WORDS, nip_unit
 from diffeed.readings.trajectory import Trajectory
 
@@ -20,7 +21,7 @@ OBSERVE = ("nips", "guides", "arrivals", "energy", "gaps", "curvature", "feed", 
 COLORS = {"passed": "bold green", "late": "bold yellow"}
 COMPARED = {field: f"{words} ({nip_unit(field)})" for field, words in NIP_WORDS.items()}
 """Of each roller, before and after."""
-GUIDES = {"force_mean": "normal mean (N)", "force_peak": "normal peak (N)"}
+GUIDES = {field: COMPARED[field] for field in OF_GUIDES}
 """Of each guide, likewise."""
 FLAT = 1e-7
 """1/mm: a smaller curvature is rounding, and its radius, ten kilometres or more, says nothing."""

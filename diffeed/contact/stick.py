@@ -28,7 +28,10 @@ def fitted(model: Model, state: State) -> State:
     """A state that may come from the same scene with other friction laws: where others stick, all deflections start at zero."""
     if not isinstance(state, State):
         kind = type(state).__name__
-        more = {"Trajectory": ": give its `final.state`", "Resume": ": give its `state`"}.get(kind, "")
+        more = {
+            "Trajectory": ": give its `final` to go on with it, or `final.state`",
+            "Resume": ": give its `state`",
+        }.get(kind, "")
         raise TypeError(
             f"a state (of diffeed.settle, or `final.state` of a run) is needed here, but this is a {kind}{more}"
         )

@@ -150,9 +150,9 @@ def _beside(scene: Scene, trajectory: Trajectory, name: str) -> str:
     if not scene.goal:
         return ""
     passes, across = (np.asarray(v) for v in _passes(scene, trajectory, name, 1.0))
-    if not passes.any():
+    nearest, reach = float(across[passes].min(initial=np.inf)), float(scene.sensors[scene.goal].range)
+    if not reach <= nearest < np.inf:
         return ""
-    nearest, reach = float(across[passes].min()), float(scene.sensors[scene.goal].range)
     return f"; its tail passed {nearest:.3g} mm beside sensor {scene.goal}, whose range is {reach:g} mm"
 
 

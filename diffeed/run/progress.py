@@ -35,7 +35,7 @@ from diffeed.input.parts import Scene
 from diffeed.model.arrays import Model
 from diffeed.readings.observe import OBSERVERS, Seen
 from diffeed.readings.snapshot import look
-from diffeed.readings.trajectory import Resume, Trajectory
+from diffeed.readings.trajectory import Resume
 from diffeed.statics.rest import settle_model
 
 FIRST = 1e-6
@@ -52,8 +52,6 @@ def begin(model: Model, scene: Scene, initial: State | Resume | None, observe: t
             had, asked = (", ".join(sorted(names)) or "nothing" for names in (initial.open, observe))
             raise ValueError(f"observe must be what it was in the run that goes on, {had}, but is {asked}")
         return replace(initial, state=stick.fitted(model, initial.state))
-    if isinstance(initial, Trajectory):
-        raise TypeError("initial must be a state or `trajectory.final`, but is a trajectory: give its `final`")
     if initial is not None:
         state = stick.fitted(model, initial)
         found = jnp.all(jnp.isfinite(jnp.concatenate([state.x, state.y, state.heading, state.travel])))  # by `settle`

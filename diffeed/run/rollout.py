@@ -106,17 +106,12 @@ def simulate(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"simulate takes a Scene (of diffeed.load_scene or diffeed.scene), but this is {show(scene)}")
-    for name, value in (("dt", dt), ("duration", duration)):
-        if isinstance(value, Tracer):
-            raise TypeError(
-                f"{name} is traced, but says how many steps there are: give a Python number; `tolerance` may be traced"
-            )
     scene = checked(scene)
     warn_if_single(scene)
-    duration = scene.duration if duration is None else float(duration)
+    duration = scene.duration if duration is None else duration
     dt = dt if dt is not None else STEP if tolerance is None else LONGEST
     refuse(duration, dt, frames, method, observe)
-    frames = int(frames)
+    duration, frames = float(duration), int(frames)
     steps_of = dt if tolerance is None else None
     if problem := run_problem(duration, steps_of, frames, scene_size(scene)):
         raise ValueError(problem)
@@ -149,6 +144,10 @@ def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAUL
 
 def refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
     for name, value in (("duration", duration), ("dt", dt)):
+        if isinstance(value, Tracer):
+            raise TypeError(
+                f"{name} is traced, but says how many steps there are: give a Python number; `tolerance` may be traced"
+            )
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be a positive number of seconds, but is {value}")
     if int(frames) != frames or frames < 2:

@@ -26,11 +26,6 @@ def vector(value: Any) -> np.ndarray:
     return np.asarray(value, dtype=float)
 
 
-def holds(trajectory: Any) -> bool:
-    """Whether the run can be believed to its end."""
-    return bool(np.all(trajectory.ok))
-
-
 def turning(roller: Any) -> int:
     """1: driven counter-clockwise, -1: driven clockwise, 0: idle."""
     speed = roller.angular_speed if roller.angular_speed is not None else roller.surface_speed

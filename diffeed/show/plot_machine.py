@@ -52,11 +52,10 @@ def draw_sheets(ax: "Axes", scene: Scene, trajectory: Any, frames: list[int]) ->
         width = max(1.2, float(scene.sheets[name].thickness) * _points_per_mm(ax))
         for shade, frame in zip(shades, frames, strict=True):
             nodes = outlines.nodes(scene, trajectory, name, frame)
-            first = trajectory is not None and name == min(scene.sheets)
-            label = f"{outlines.time(trajectory)[frame]:.3g} s" if first else None
-            label = f"sheet at {label}" if label and frame == frames[0] else label
-            if label and frame == frames[-1] and not outlines.holds(trajectory):
-                label = f"{label}: failed"
+            label = None
+            if trajectory is not None and name == min(scene.sheets):
+                label = f"{'sheet at ' if frame == frames[0] else ''}{outlines.time(trajectory)[frame]:.3g} s"
+                label += ": failed" if frame == frames[-1] and not np.all(trajectory.ok) else ""
             ax.plot(*nodes.T, color=shade, linewidth=width, label=label, solid_capstyle="round", zorder=5)
 
 
