@@ -48,16 +48,17 @@ def many(scene):
 @pytest.mark.long
 @pytest.mark.parametrize(("function", "given"), [(at_the_end, nip()), (jax.vmap(at_the_end), many(nip()))])
 def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function, given):
-    """By the law that each of nine sums would have for itself: 569 operations with JAX 0.10. JAX 0.12 merges the readers too, and
-    has none twice: there it must not cost more."""
+    """By the law that each reader would have for itself: 295 operations with JAX 0.10, where the sums are stacked (569 while each of
+    the nine stood alone). JAX 0.12 merges the readers too, and has none twice: there it must not cost more."""
     with_it = operations(function, given)
     monkeypatch.setattr(sweep, "computed_once", lambda values: values)
     without = operations(function, given)
-    assert with_it < (without - 500 if tuning._jaxlib() < (0, 11) else 1.01 * without)
+    assert with_it < (without - 250 if tuning._jaxlib() < (0, 11) else 1.01 * without)
 
 
 @pytest.mark.slow
 def test_the_compiled_gradient_of_a_run_is_smaller(monkeypatch):
+    """0.93 of the operations with JAX 0.10."""
     with_it = operations(jax.grad(at_the_end), nip())
     monkeypatch.setattr(sweep, "derived_once", lambda values: values)
-    assert with_it < (0.8 if tuning._jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())
+    assert with_it < (0.95 if tuning._jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())
