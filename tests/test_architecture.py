@@ -15,7 +15,7 @@ RANKS = """
     base: words names record_html records files folders terminal toml_text limits batching products smooth once
     tuning plot_style
     pair: shapes skin law rebound
-    input: parts packing check_values check_rules check_records remarks paths scene_file stacking
+    input: parts packing check_values check_rules check_records remarks_places remarks paths scene_file stacking
     schema
     model: layout arrays rows movements sheets rollers guides surfaces build
     chain: state system sums kinematics dense elimination solve
@@ -23,7 +23,7 @@ RANKS = """
     forces: terms sheet loads clamps contacts rollers assemble landing energy
     faults: causes tally balance overshoot rebounds judge
     steppers: advance astray linear_euler extrapolated_euler runge_kutta midpoint
-    readings: trajectory snapshot spans pressed_guides observe frames margin verdict agreement
+    readings: trajectory snapshot spans pressed_guides observe frames margin gate why verdict agreement
     statics: coordinates relax rest vibrations
     run: progress error_control rollout joints examine pieces
     measures

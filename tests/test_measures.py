@@ -250,7 +250,7 @@ VERDICTS = {
             3e5,
         ),
         "jammed",
-        "stalled",
+        "a stalled; drive slips on it at 100 mm/s, lead edge at (21.9, ",
     ),
     "no nip holds it": (
         nip(rollers={"drive": nip().rollers["drive"]}, clamps={"c": Clamp(sheet="a", at="tail")}),
@@ -287,6 +287,18 @@ def test_two_drives_against_each_other_are_told():
         rollers=first | second | {"behind": replace(second["behind"], angular_speed=first["drive"].angular_speed)}
     )
     assert "backwards" not in measures.verdict(alike, diffeed.simulate(alike, dt=2e-4, frames=51)).reason
+
+
+def test_a_pinch_that_never_reaches_a_sheet_that_stops_is_told():
+    """Held off by its stop, 0.8 mm above a sheet that is flat. One that the lead has not come to is none of it."""
+    stiff, stopped, _ = VERDICTS["stalled at a stop"]
+    first = stiff.rollers
+    above = replace(first["pinch"], center=(-10.0, 4.9), radius=4.0, travel_min=0.0)
+    ahead = replace(above, center=(35.0, 4.9))
+    scene = replace(stiff, rollers=first | {"above": above, "ahead": ahead})
+    verdict = measures.verdict(scene, diffeed.simulate(scene, dt=2e-4, frames=51))
+    assert verdict.status == stopped
+    assert re.fullmatch(r"a stalled; drive slips on it at 100 mm/s; above stays 0\.[4-8]\d? mm off it", verdict.reason)
 
 
 @pytest.mark.long

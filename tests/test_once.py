@@ -48,8 +48,8 @@ def many(scene):
 @pytest.mark.long
 @pytest.mark.parametrize(("function", "given"), [(at_the_end, nip()), (jax.vmap(at_the_end), many(nip()))])
 def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function, given):
-    """By the law that each reader would have for itself: 295 operations with JAX 0.10, where the sums are stacked (569 while each of
-    the nine stood alone). JAX 0.12 merges the readers too, and has none twice: there it must not cost more."""
+    """By the law that each reader would have for itself: 295 operations with JAX 0.10, now that sums are stacked (569 while each
+    of the nine stood alone). JAX 0.12 merges the readers too, and has none twice: there it must not cost more."""
     with_it = operations(function, given)
     monkeypatch.setattr(sweep, "computed_once", lambda values: values)
     without = operations(function, given)

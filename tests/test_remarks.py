@@ -66,6 +66,11 @@ def test_guides_that_go_on_in_each_other_bear_on_one_side(backwards):
             False,
             "contacts.default.damped is false: what hits it at 100 mm/s is thrown",
         ),
+        ("sheets.note.width", 0.14, "sheets.note.width is 0.14 mm: in m? A4 is 210 mm wide"),
+        ("sheets.note.heading", 1.5708, "sheets.note.heading is 1.5708 degrees: in radians? Then it is 90"),
+        ("guides.turn.start_angle", -0.7854, "guides.turn.start_angle is -0.7854 degrees: in radians? Then it is -45"),
+        ("sheets.note.bars", 8, "sheets.note.bars is 8: bars of 9 mm cannot follow guides.turn, whose radius is 15 mm"),
+        ("rollers.drive.surface_speed", 9e4, "rollers.drive turns at up to 9e+04 mm/s: in mm/min? Divide by 60;"),
         ("guides.turn.sweep", 1.5708, "guides.turn.sweep is 1.5708 degrees: in radians?"),
         ("rollers.drive.surface_speed", -1.5, "rollers.drive turns at 1.5 mm/s at most: in m/s?"),
         (
@@ -177,6 +182,36 @@ def test_a_pinch_that_its_stop_holds_off_is_remarked_on():
     for stop in (None, -0.5):
         free = replace(pinch, travel_min=stop)
         assert diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, rollers={"drive": drive, "pinch": free})) == []
+
+
+def test_a_shaft_whose_speed_is_in_rpm():
+    drive = FixedRoller(center=(0.0, -10.05), radius=10.0, angular_speed=-955.0)
+    (remark,) = diffeed.remarks(diffeed.scene(sheets={"note": NOTE}, rollers={"drive": drive}))
+    assert remark.startswith("rollers.drive turns at up to 9550 mm/s: in rpm? 1 rpm is 0.1047 rad/s")
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 2.0, 45.0, 0.8, 1.05, 90.0])
+def test_small_angles_in_degrees_are_not_remarked_on(angle):
+    assert diffeed.remarks(diffeed.scene(sheets={"note": replace(NOTE, heading=angle)})) == []
+
+
+@pytest.mark.parametrize(
+    ("guide", "nearest"),
+    [
+        (LineGuide(start=(-20.0, -7.0), end=(20.0, -7.0)), "3"),
+        (LineGuide(start=(-20.0, -7.0), end=(-2.0, -7.0)), "3.6"),
+        (LineGuide(start=(-20.0, -7.0), end=(-8.0, -7.0)), None),
+        (LineGuide(start=(-20.0, -1.0), end=(20.0, -1.0)), None),  # the roller looks out of its slot
+        (ArcGuide(center=(0.0, 13.0), radius=20.0, start_angle=-135.0, sweep=90.0), "3"),
+        (ArcGuide(center=(0.0, 13.0), radius=20.0, start_angle=-45.0, sweep=270.0), None),
+    ],
+)
+def test_a_guide_through_a_roller(guide, nearest):
+    drive = FixedRoller(center=(0.0, -10.0), radius=10.0, surface_speed=300.0)
+    high = replace(NOTE, lead=(0.0, 60.0))
+    found = diffeed.remarks(diffeed.scene(sheets={"note": high}, rollers={"drive": drive}, guides={"floor": guide}))
+    said = f"guides.floor runs through rollers.drive, {nearest} mm from its centre"
+    assert [f.startswith(said) for f in found] == ([True] if nearest else [])
 
 
 def test_a_run_far_too_long_is_remarked_on():

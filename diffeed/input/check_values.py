@@ -173,3 +173,9 @@ def sound(record: Any, name: str, sizes: Sizes | None = None) -> np.ndarray | No
         return None
     found = measure(value)
     return found.entries if found else None
+
+
+def number_of(record: Any, name: str) -> float | None:
+    """The same of a field of one number."""
+    value = sound(record, name)
+    return float(value) if value is not None and np.ndim(value) == 0 else None

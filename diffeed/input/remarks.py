@@ -1,4 +1,4 @@
-"""What is sound in itself but hardly meant: a number in another unit, a pinch that opens its nip. Said, never refused."""
+"""What is sound in itself but hardly meant: a number in another unit, a part where it does no good. Said, never refused."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from diffeed.base.records import fields
+from diffeed.input import remarks_places as places
 from diffeed.input.check_records import check_records
 from diffeed.input.check_rules import Rule
-from diffeed.input.check_values import sound
+from diffeed.input.check_values import number_of, sound
 from diffeed.input.parts import (
     ArcGuide,
     CircleGuide,
@@ -30,14 +31,14 @@ LIGHTEST, HEAVIEST = 5e-9, 3e-5
 """kg/mm3: a hundredth of paper, and more than any metal."""
 THINNEST, THICKEST = 2e-3, 10.0
 """mm."""
-BLADE = 0.5
-"""Of a guide's length: two that look away from each other along so much of it are a blade."""
-SLOWEST = 5.0
-"""mm/s: a drive that never turns faster than this."""
+NARROWEST = 1.0
+"""mm of a sheet's width: less may be metres. A length in metres is refused, for its bars are shorter than the sheet is thick."""
+RADIANS = np.pi / 12
+"""What angles in radians are multiples of."""
+SLOWEST, FASTEST = 5.0, 8000.0
+"""mm/s: a drive that never turns faster than this, and one that does."""
 GRAVITY = (9.0, 10.5)
 """m/s2, given as mm/s2."""
-NIP = 3.0
-"""mm between two rollers that may be meant as a nip."""
 TURNED = 1.6
 """Degrees: a movement that turns a part by less may be meant in radians."""
 ASIDE = 2.0
@@ -46,8 +47,6 @@ STUB = 3.0
 """mm of an arc: hardly a guide."""
 CURLED = 3.0
 """mm: a smaller radius of curl is hardly meant."""
-BESIDE = 0.3
-"""Cosine between the travel of a pinch and the way to its partner: less hardly presses."""
 BULKY, ROUGH, STUBBORN = 5.0, 3.0, 1e5
 """kg of a roller, its friction, N/mm of a contact: more is hardly meant."""
 HIT, LIVELY = 100.0, 0.9
@@ -75,19 +74,14 @@ def remarks(scene: Scene) -> list[str]:
     return found
 
 
-def _number(part: Any, field: str) -> float | None:
-    value = sound(part, field)
-    return float(value) if value is not None and np.ndim(value) == 0 else None
-
-
 def _of_scene(scene: Scene) -> Iterator[str]:
     gravity = sound(scene, "gravity")
     if gravity is not None and GRAVITY[0] < float(np.hypot(*gravity)) < GRAVITY[1]:
         yield f"gravity is {np.hypot(*gravity):g} mm/s2: in m/s2? That of the earth is 9810 mm/s2"
     duration, fastest = scene.duration, max((_fastest(r) or 0.0 for r in scene.rollers.values()), default=0.0)
-    places, lengths = _places(scene), [_number(s, "length") or 0.0 for s in scene.sheets.values()]
+    places, lengths = _places(scene), [number_of(s, "length") or 0.0 for s in scene.sheets.values()]
     way = sum(lengths) + (float(np.ptp(np.array(places), axis=0).sum()) if places else 0.0)
-    if duration * fastest > BEYOND_USE * way > 0:
+    if fastest <= FASTEST and duration * fastest > BEYOND_USE * way > 0:
         yield (
             f"duration is {duration:g} s, in which the drives feed {duration * fastest:.3g} mm: many times the way through the"
             " machine"
@@ -105,7 +99,9 @@ def _points(part: Any) -> list[Any]:
 
 
 def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
-    modulus, density, thickness = (_number(sheet, f) for f in ("youngs_modulus", "density", "thickness"))
+    modulus, density, thickness = (number_of(sheet, f) for f in ("youngs_modulus", "density", "thickness"))
+    if (width := number_of(sheet, "width")) and width < NARROWEST:
+        yield f"{path}.width is {width:g} mm: in m? A4 is 210 mm wide"
     if modulus and modulus > STIFFEST:
         yield f"{path}.youngs_modulus is {modulus:g} N/mm2: in Pa? Steel has 2.1e5 N/mm2, paper 2000 to 8000"
     if modulus and modulus < LIMPEST:
@@ -114,13 +110,26 @@ def _sheet(path: str, sheet: Sheet, _: Scene) -> Iterator[str]:
         yield f"{path}.density is {density:g} kg/mm3: in other units? Paper has 8e-7 kg/mm3 (800 kg/m3)"
     if thickness and not THINNEST < thickness < THICKEST:
         yield f"{path}.thickness is {thickness:g} mm: in other units? Copy paper has 0.1 mm"
-    curl = _number(sheet, "curl")
+    curl = number_of(sheet, "curl")
     if curl and abs(curl) * CURLED > 1.0:
         yield f"{path}.curl is {curl:g} 1/mm, a radius of {1.0 / abs(curl):.2g} mm: is it the radius? A curl of 50 mm is 0.02"
+    yield from _in_radians(path, sheet, "heading")
+
+
+def _in_radians(path: str, part: Any, field: str) -> Iterator[str]:
+    """An angle that is a twelfth of pi, or some of them, to the digits that it is given with."""
+    value = number_of(part, field)
+    if value is None or not 0.0 < abs(value) < 2.0 * np.pi + RADIANS:
+        return
+    share = abs(value) / RADIANS
+    if round(share) and abs(share - round(share)) < 1e-3 * share:
+        meant = np.rad2deg(np.sign(value) * round(share) * RADIANS)
+        yield f"{path}.{field} is {value:g} degrees: in radians? Then it is {meant:g}"
 
 
 def _arc(path: str, guide: ArcGuide, _: Scene) -> Iterator[str]:
-    sweep, radius = _number(guide, "sweep"), _number(guide, "radius")
+    sweep, radius = number_of(guide, "sweep"), number_of(guide, "radius")
+    yield from _in_radians(path, guide, "start_angle")
     if sweep and radius and abs(sweep) <= 2.0 * np.pi and radius * np.deg2rad(abs(sweep)) < STUB:
         yield f"{path}.sweep is {sweep:g} degrees: in radians? A quarter turn is 90"
 
@@ -150,7 +159,7 @@ def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
     pivot, points = sound(part.motion, "pivot"), _points(part)
     if not furthest or pivot is None or np.any(pivot) or not points:
         return
-    radius = _number(part, "radius") or 0.0 if hasattr(part, "radius") else 0.0
+    radius = number_of(part, "radius") or 0.0 if hasattr(part, "radius") else 0.0
     away = min(float(np.hypot(*point)) for point in points) - radius
     size = float(np.hypot(*np.ptp(points, axis=0))) + 2.0 * radius
     if away > ASIDE * size:
@@ -159,7 +168,7 @@ def _moved(path: str, part: Any, scene: Scene) -> Iterator[str]:
 
 def _fastest(roller: Any) -> float | None:
     """mm/s of its surface, None if it idles or that is not known."""
-    for field, lever in (("surface_speed", 1.0), ("angular_speed", _number(roller, "radius"))):
+    for field, lever in (("surface_speed", 1.0), ("angular_speed", number_of(roller, "radius"))):
         speed = getattr(roller, field)
         values = sound(speed, "values") if isinstance(speed, Profile) else sound(roller, field)
         if values is not None and lever:
@@ -168,7 +177,7 @@ def _fastest(roller: Any) -> float | None:
 
 
 def _drive(path: str, roller: Any, scene: Scene) -> Iterator[str]:
-    fastest, friction = _fastest(roller), _number(roller, "friction")
+    fastest, friction = _fastest(roller), number_of(roller, "friction")
     if friction and friction > ROUGH:
         yield f"{path}.friction is {friction:g}: in percent? Rubber on paper has 0.8 to 1.5"
     for field in ("surface_speed", "angular_speed"):
@@ -176,10 +185,13 @@ def _drive(path: str, roller: Any, scene: Scene) -> Iterator[str]:
             yield from _in_the_run(f"{path}.{field}", profile, scene)
     if fastest and fastest < SLOWEST:
         yield f"{path} turns at {fastest:g} mm/s at most: in m/s? Feeders run at 100 to 3000 mm/s"
+    if fastest and fastest > FASTEST:
+        unit = "rpm? 1 rpm is 0.1047 rad/s" if roller.surface_speed is None else "mm/min? Divide by 60"
+        yield f"{path} turns at up to {fastest:.4g} mm/s: in {unit}; feeders run at 100 to 3000 mm/s"
 
 
 def _contact(path: str, contact: Contact, scene: Scene) -> Iterator[str]:
-    stiffness = _number(contact, "stiffness")
+    stiffness = number_of(contact, "stiffness")
     if stiffness and stiffness > STUBBORN:
         yield f"{path}.stiffness is {stiffness:g}: in N/m? Rubber has 10 to 1000 N/mm, hard plastic 1e4"
         return
@@ -193,7 +205,7 @@ def _contact(path: str, contact: Contact, scene: Scene) -> Iterator[str]:
 
 def _thrown_back(contact: Contact, scene: Scene) -> Rebound | None:
     """What becomes of the lightest node, None if it loses more than a tenth or a number is not known."""
-    law = [_number(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
+    law = [number_of(contact, f) for f in ("stiffness", "exponent", "damping", "damping_exponent")]
     masses = [mass for sheet in scene.sheets.values() if (mass := _mass_of_a_node(sheet))]
     if None in law or not masses:
         return None
@@ -205,89 +217,22 @@ def _thrown_back(contact: Contact, scene: Scene) -> Rebound | None:
 
 def _mass_of_a_node(sheet: Sheet) -> float | None:
     """kg."""
-    given = [_number(sheet, f) for f in ("density", "length", "width", "thickness")]
+    given = [number_of(sheet, f) for f in ("density", "length", "width", "thickness")]
     return None if None in given else float(np.prod(np.array(given, float))) / (sheet.bars + 1)
 
 
 def _mass(path: str, roller: MovableRoller, _: Scene) -> Iterator[str]:
-    mass = _number(roller, "mass")
+    mass = number_of(roller, "mass")
     if mass and mass > BULKY:
         yield f"{path}.mass is {mass:g} kg: in g? A pinch roller has 0.01 to 0.5 kg"
 
 
-def _out_of_reach(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
-    """A pinch whose stop holds it off every roller that it is near: no sheet is pressed there."""
-    center, way, radius = sound(roller, "center"), sound(roller, "direction"), _number(roller, "radius")
-    stop, sheets = _number(roller, "travel_min"), [_number(s, "thickness") or 0.0 for s in scene.sheets.values()]
-    if center is None or way is None or radius is None or stop is None or not sheets or not np.any(way):
-        return
-    nearest, gap = "", NIP
-    for name, other in sorted(scene.rollers.items()):
-        place, size = sound(other, "center"), _number(other, "radius")
-        if other is roller or place is None or size is None:
-            continue
-        left = float(np.hypot(*(center + stop * way / np.hypot(*way) - place))) - radius - size
-        nearest, gap = (name, left) if left < gap else (nearest, gap)
-    if nearest and gap > max(sheets):
-        yield (
-            f"{path} stops {gap:.3g} mm before rollers.{nearest} (travel_min = {stop:g} mm): no sheet is pressed there, for the"
-            f" thickest has {max(sheets):g} mm"
-        )
-
-
-def _pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
-    center, way, radius = sound(roller, "center"), sound(roller, "direction"), _number(roller, "radius")
-    preload = _number(roller, "preload")
-    if preload and preload < 0:
-        yield f"{path}.preload is {preload:g} N, which opens the nip: the spring pushes against `direction` where it is > 0"
-        return
-    if center is None or way is None or radius is None or not preload:
-        return
-    for name, other in sorted(scene.rollers.items()):
-        place, size = sound(other, "center"), _number(other, "radius")
-        if other is roller or place is None or size is None:
-            continue
-        towards = np.asarray(place) - center
-        if np.hypot(*towards) - radius - size >= NIP:
-            continue
-        share = way @ towards / (np.hypot(*way) * np.hypot(*towards))
-        if abs(share) < BESIDE:
-            yield f"{path}.direction runs beside rollers.{name}, not towards or away from it: its preload does not close the nip"
-        if share > 0.5:
-            yield (
-                f"{path}.direction points at rollers.{name}, so that its preload opens the nip: the spring pushes against"
-                " `direction`"
-            )
-
-
-def _back_to_back(path: str, guide: LineGuide, scene: Scene) -> Iterator[str]:
-    """A blade made of two faces: each feels a sheet behind it up to its depth, so that one may catch what lies on the other."""
-    start, end, depth = (sound(guide, f) for f in ("start", "end", "depth"))
-    if start is None or end is None or depth is None or not np.any(end - start):
-        return
-    length = np.hypot(*(end - start))
-    way = (end - start) / length
-    for name, other in sorted(scene.guides.items()):
-        a, b = (sound(other, f) if isinstance(other, LineGuide) else None for f in ("start", "end"))
-        if other is guide or a is None or b is None:
-            continue
-        away = np.stack([a, b]) - start
-        along, behind = away @ way, away @ np.array([way[1], -way[0]])
-        beside = min(along.max(), length) - max(along.min(), 0.0)
-        # Turned about, it looks to the other side.
-        if beside > BLADE * (along[0] - along[1]) > 0.0 and behind.min() >= 0.0 and behind.max() < depth:
-            yield (
-                f"{path} and guides.{name} are back to back, {behind.min():.3g} mm apart, which is less than {path}.depth, "
-                f"{float(depth):g} mm: it catches a sheet that lies on the other; give both a depth of less than half of that"
-            )
-
-
 _RULES: dict[type, tuple[Rule, ...]] = {
     Sheet: (_sheet,),
-    ArcGuide: (_arc, _moved),
-    LineGuide: (_moved, _back_to_back),
+    ArcGuide: (_arc, places.bends, places.through, _moved),
+    LineGuide: (_moved, places.through, places.back_to_back),
     CircleGuide: (_moved,),
     Contact: (_contact,),
     FixedRoller: (_drive, _moved),
-    MovableRoller: (_drive, _mass, _pinch, _out_of_reach),
+    MovableRoller: (_drive, _mass, places.pinch, places.out_of_reach),
 }

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.products import product
 from diffeed.input.packing import jit_of_scene, stacked
 from diffeed.input.parts import LineGuide, Scene, normalise
 from diffeed.model.build import build
-from diffeed.readings.frames import Feeding, approach, motion
+from diffeed.readings.frames import Feeding, motion
+from diffeed.readings.gate import crosses
 from diffeed.readings.margin import FOLDED
 from diffeed.readings.trajectory import Trajectory
+from diffeed.readings.why import place, reasons, still_to_go
 
 STATUSES = ("passed", "late", "jammed", "failed")
 """late: still moving, but the goal is not reached; failed: numerically. In the order of how bad they are."""
@@ -21,10 +22,6 @@ REACHED, FREE, RESTS, LATE, FOLDS, STRAYS, STALLS, LET_GO, BROKE = range(9)
 _STATUS_OF = np.array([0, 0, 0, 1, 2, 2, 2, 2, 3])
 STALLED = 0.1
 """Share of the commanded speed below which a sheet stands still."""
-BACK = 0.1
-"""Of a sheet's length: driven backwards by more is told."""
-AT_ODDS = 0.1
-"""Of the faster one's speed, and of the frames in which a sheet is driven: rollers that drive it either way are told."""
 STRAYED = 50.0
 """mm outside the box around all parts that counts as having left the path."""
 
@@ -119,52 +116,10 @@ def _in_words(scene: Scene, trajectory: Trajectory, found: Outcome) -> Verdict:
     if status != "passed":
         fed = motion(scene, trajectory.states).fed
         fed = Feeding(*(v[:, sorted(scene.sheets).index(name)] for v in fed))
-        text += _still_to_go(scene, trajectory, name, fed) if reason == LATE else ""
-        text += _wrong_way(scene, trajectory, name, fed)
-    place = _place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
-    return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, place)
-
-
-def _still_to_go(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) -> str:
-    """Where the tail is at the end, and how fast its sheet moves: a run that is only too short is seen at once."""
-    way = np.asarray(trajectory.sheets[name].nodes)[-1, -1] - np.asarray(scene.sensors[scene.goal].position)
-    return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {float(fed.speed[-1]):.3g} mm/s"
-
-
-def _wrong_way(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) -> str:
-    """What of the directions that a user gives may be why a sheet did not pass, in words. `fed`: of this sheet, (frames, ...)."""
-    told, turns = "", "the angles and speeds of rollers are positive counter-clockwise"
-    back = -float(np.trapezoid(np.asarray(fed.wanted), np.asarray(trajectory.time)))
-    if back > BACK * float(scene.sheets[name].length):
-        told = f", driven backwards by {back:.3g} mm ({turns})"
-    elif pair := _against_each_other(np.asarray(fed.surface)):
-        forwards, backwards = (jax.eval_shape(build, scene).rollers.names[k] for k in pair)
-        told = f"; {forwards} drives it forwards and {backwards} backwards at the same time ({turns})"
-    if scene.goal and bool(jnp.any(_crosses(scene, trajectory, name, -1.0))):
-        told += f"; its tail passed sensor {scene.goal} against the sensor's direction"
-    return told + _beside(scene, trajectory, name)
-
-
-def _beside(scene: Scene, trajectory: Trajectory, name: str) -> str:
-    """Whether the tail passed the goal's gate, but out of its range: no longer run would help."""
-    if not scene.goal:
-        return ""
-    passes, across = (np.asarray(v) for v in _passes(scene, trajectory, name, 1.0))
-    nearest, reach = float(across[passes].min(initial=np.inf)), float(scene.sensors[scene.goal].range)
-    if not reach <= nearest < np.inf:
-        return ""
-    return f"; its tail passed {nearest:.3g} mm beside sensor {scene.goal}, whose range is {reach:g} mm"
-
-
-def _against_each_other(speed: np.ndarray) -> tuple[int, int] | None:
-    """Of the (frames, rollers) surface speeds of what drives a sheet two that pull it either way, in a good part of the frames
-    in which any does."""
-    least, most = speed.min(axis=1, initial=0.0), speed.max(axis=1, initial=0.0)
-    at_odds = np.minimum(-least, most) > AT_ODDS * np.maximum(-least, most)
-    if at_odds.sum() <= AT_ODDS * np.any(speed != 0, axis=1).sum():
-        return None
-    mean = speed[at_odds].mean(axis=0)
-    return int(mean.argmax()), int(mean.argmin())
+        text += still_to_go(scene, trajectory, name, fed) if reason == LATE else ""
+        text += reasons(scene, trajectory, name, fed, int(found.frame) if reason == STALLS else None)
+    where = place(scene, trajectory, name, int(found.frame)) if status == "jammed" else ""
+    return Verdict(status, text, float(found.time) if np.isfinite(found.time) else None, where)
 
 
 def _judge(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, k: int) -> Outcome:
@@ -202,24 +157,8 @@ def _passed_goal(scene: Scene, trajectory: Trajectory, name: str) -> Array:
         return jnp.asarray(jnp.inf)
     if "arrivals" in trajectory.observed:
         return trajectory.observed["arrivals"][name][scene.goal]["tail"]
-    crossed = _first(_crosses(scene, trajectory, name, 1.0))
+    crossed = _first(crosses(scene, trajectory, name, 1.0))
     return jnp.concatenate([trajectory.time[1:], jnp.full((1,), jnp.inf)])[crossed]
-
-
-def _crosses(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> Array:
-    """(frames - 1,) bool: whether between two frames the tail crosses the goal's gate, along its direction (`sense` 1) or
-    against it (-1)."""
-    passes, across = _passes(scene, trajectory, name, sense)
-    return passes & (across < scene.sensors[scene.goal].range)
-
-
-def _passes(scene: Scene, trajectory: Trajectory, name: str, sense: float) -> tuple[Array, Array]:
-    """The same for the whole line of the gate, and how far beside the sensor, mm."""
-    sensor = scene.sensors[scene.goal]
-    way = sense * sensor.direction / jnp.sqrt(jnp.sum(sensor.direction**2))
-    offset = trajectory.sheets[name].nodes[:, -1] - sensor.position[None]
-    along, across = product(offset, way), jnp.abs(offset[:, 1] * way[0] - offset[:, 0] * way[1])
-    return (along[:-1] < 0) & (along[1:] >= 0), across[1:]
 
 
 def _is_folded(headings: Array) -> Array:
@@ -271,15 +210,3 @@ def _stalled_since(fed: Feeding, fastest: Array) -> Array:
     since = jnp.max(jnp.where(moving, jnp.arange(1, frames + 1), 0))
     long_enough = frames - since >= max(2, frames // 20)
     return jnp.where((reference > 0) & long_enough, since, frames)
-
-
-def _place(scene: Scene, trajectory: Trajectory, name: str, frame: int) -> str:
-    """Where the lead edge is at a frame, and the part nearest to it."""
-    lead = np.asarray(trajectory.sheets[name].nodes)[frame, 0]
-    where = f"lead edge at ({lead[0]:.1f}, {lead[1]:.1f}) mm"
-    model = jax.eval_shape(build, scene)  # names and counts only
-    if not model.has_bodies:
-        return where
-    k = model.layout.names.index(name)
-    gap = np.asarray(approach(scene, trajectory.states).gap)[frame, :, model.layout.starts[k] + k]
-    return f"{where}, nearest part {model.body_names[int(np.argmin(np.abs(gap)))]}"
