@@ -260,7 +260,7 @@ def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
 def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None, earlier: "Earlier | None") -> int:
     """Report and write what there is; the exit status."""
     from diffeed.command.outputs import write_files
-    from diffeed.command.report import print_changes, print_report, summarise
+    from diffeed.command.report import numbers, print_changes, print_report, summarise
     from diffeed.readings.trajectory import join
     from diffeed.run.pieces import cut_at_failure
 
@@ -272,9 +272,11 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
             "status": "stopped", "reason": reason, "time": float(trajectory.time[-1]), "place": ""
         }  # fmt: skip
     print_report(console(), summary)
-    confirmed = _confirm(ask, scene, trajectory, progress) if ask.confirm and trajectory.ok else None
+    confirmed, again = _confirm(ask, scene, trajectory, progress) if ask.confirm and trajectory.ok else (None, None)
     if confirmed:
         summary["confirmed"] = confirmed._asdict()
+    if again:
+        summary["finer"] = numbers(summarise(scene, again))
     if earlier:
         print_changes(console(), earlier.summary, summary)
     if not trajectory.ok:
@@ -285,15 +287,17 @@ def _finish(ask: Request, scene: "Scene", progress: Progress, draft: Path | None
     return 0 if trajectory.ok and (confirmed is None or confirmed.holds) else 1
 
 
-def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> "Confirmation | None":
-    """Run again with shorter steps and say how far the two are apart; None where Ctrl-C came before that was known: the first
-    run is not lost by it."""
+def _confirm(
+    ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress
+) -> "tuple[Confirmation | None, Trajectory | None]":
+    """Run again with shorter steps, say how far the two are apart, and that run if it did not fail; None where Ctrl-C came before
+    that was known: the first run is not lost by it."""
     from diffeed.readings.agreement import confirm
     from diffeed.readings.trajectory import join
     from diffeed.run.pieces import cut_at_failure
 
     if progress.stopped:
-        return None
+        return None, None
     say(f"{ask.scene}: once more, with shorter steps (--once leaves that out)")
     try:
         again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
@@ -303,10 +307,11 @@ def _confirm(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: P
     if again.stopped:
         progress.stopped = True
         say("not confirmed: stopped by Ctrl-C")
-        return None
-    found = confirm(scene, trajectory, cut_at_failure(join(again.pieces)))
+        return None, None
+    finer = cut_at_failure(join(again.pieces))
+    found = confirm(scene, trajectory, finer)
     console().print(found.sentence())
-    return found
+    return found, finer if finer.ok else None
 
 
 def _circumstances(ask: Request, scene: "Scene", trajectory: "Trajectory", progress: Progress) -> dict[str, Any]:

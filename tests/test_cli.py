@@ -614,6 +614,31 @@ def test_before_and_after_tells_what_rollers_and_energies_do():
     assert not [row for row in rows if "slip" in row]
 
 
+@pytest.mark.parametrize(
+    ("finer", "mark"),
+    [
+        ((2.0, 2.1), []),
+        ((2.0, 2.06), []),
+        ((2.0, 2.04), ["*"]),
+        ((2.0, 1.9), ["*"]),
+        ((None, 2.0), []),
+        ((None, None), []),
+    ],
+)
+def test_a_change_that_is_another_with_shorter_steps_is_marked(finer, mark):
+    """An error that both runs have is none of their difference; where a run was not made again, nothing is known."""
+    text, changed = io.StringIO(), "work of drives (N mm)"
+    empty = {"verdict": {"status": "passed"}, "sheets": {}, "rollers": {}, "run": {"simulated": 1.0}}
+    runs = [
+        empty | {"energy": {"work of drives": value}} | ({} if again is None else {"finer": {changed: again}})
+        for value, again in zip((3.0, 3.1), finer, strict=True)
+    ]
+    report.print_changes(Console(file=text, width=120), *runs)
+    rows = [line.split() for line in text.getvalue().splitlines()]
+    assert ["work", "of", "drives", "(N", "mm)", "3", "3.1", "+0.1", *mark] in rows
+    assert ("*: not confirmed" in text.getvalue()) == bool(mark)
+
+
 @pytest.mark.parametrize(("curvature", "radius"), [(0.01, "100.0"), (5e-17, "-"), (0.0, "-")])
 def test_a_sheet_that_nothing_bends_has_no_radius(curvature, radius):
     row = {"largest_curvature": curvature, "fed": 300.0, "commanded": 300.0, "progress": 1.0, "longest_stall": 0.0}

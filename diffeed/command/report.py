@@ -1,6 +1,5 @@
 """What a run came to, as plain data (for a file) and as tables (for a terminal of 80 columns, or a pipe)."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from diffeed import measures
@@ -33,6 +32,9 @@ CREEP = (
 )
 SAME = 1e-3
 """Of a value: less is no change in a comparison."""
+ANOTHER = 0.5
+"""Of a change: where it differs by more in the runs with shorter steps, it is marked."""
+BY_STEPS = "*: not confirmed: between the two runs with shorter steps it is another change (by more than half)."
 PRESSED = "Negative: pressed into the part."
 MARGINS = (
     "1: no load; 0: at the limit, beyond which it jams. Progress towards the goal, buckling between nips, fold, "
@@ -78,24 +80,36 @@ def print_report(console: "Console", summary: dict[str, Any]) -> None:
 
 
 def print_changes(console: "Console", before: dict[str, Any], after: dict[str, Any]) -> None:
-    """What differs between two summaries by more than 0.1 %."""
+    """What differs between two summaries by more than 0.1 %, and what of that is not so with shorter steps."""
     table = plain_table("", "before", "after", "change")
-    for name, old, new in _compared(before, after):
-        if isinstance(old, str) or isinstance(new, str):
-            if old != new:
-                table.add_row(name, old, new, "")
-        elif (old is None) != (new is None):
-            table.add_row(name, _digits(old), _digits(new), "")
-        elif old is not None and abs(new - old) > SAME * max(abs(old), abs(new)):
-            table.add_row(name, _digits(old), _digits(new), f"{new - old:+.3g}")
+    old, new = numbers(before), numbers(after)
+    with_shorter_steps = [summary.get("finer") or {} for summary in (before, after)]
+    for name, value in new.items():
+        earlier = old.get(name)
+        if isinstance(value, str) or isinstance(earlier, str):
+            if earlier != value:
+                table.add_row(name, earlier, value, "")
+        elif (earlier is None) != (value is None):
+            table.add_row(name, _digits(earlier), _digits(value), "")
+        elif earlier is not None and abs(value - earlier) > SAME * max(abs(earlier), abs(value)):
+            change = value - earlier
+            mark = " *" if _is_another(change, *(run.get(name) for run in with_shorter_steps)) else ""
+            table.add_row(name, _digits(earlier), _digits(value), f"{change:+.3g}{mark}")
     console.print(f"\nBefore and after, what differs by more than {100 * SAME:g} %", style="bold")
     console.print(table if table.row_count else "nothing")
+    if any(str(cell).endswith("*") for cell in table.columns[-1].cells):
+        console.print(BY_STEPS, style="dim")
     lengths = [summary["run"]["simulated"] for summary in (before, after)]
     if abs(lengths[1] - lengths[0]) > SAME * max(lengths):
         console.print(
             f"The runs are not of one length: {lengths[0]:.4g} s before, {lengths[1]:.4g} s after. Means, peaks and sums are "
             "of what each of them came to."
         )
+
+
+def _is_another(change: float, before: float | None, after: float | None) -> bool:
+    """Whether a number changes otherwise between two values; not, where one of them is not known."""
+    return before is not None and after is not None and abs(after - before - change) > ANOTHER * abs(change)
 
 
 # --- data -----------------------------------------------------------------------------------------------------------
@@ -130,32 +144,21 @@ def _gaps(trajectory: Trajectory) -> dict[str, Any]:
     return dict(sorted(found.items(), key=lambda item: float(item[1])))
 
 
-def _compared(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Name, value before and value after, of what both runs have."""
-    yield "verdict", before["verdict"]["status"], after["verdict"]["status"]
-    for name in after["sheets"]:
-        old, new = before["sheets"].get(name, {}), after["sheets"][name]
-        yield f"{name}: fed (mm)", old.get("fed"), new["fed"]
-        yield f"{name}: largest curvature (1/mm)", old.get("largest_curvature"), new["largest_curvature"]
-        for part, margin in new["jam_margins"].items():
-            yield f"{name}: distance from a jam, {part}", old.get("jam_margins", {}).get(part), margin
-        for sensor, times in new["arrivals"].items():
+def numbers(summary: dict[str, Any]) -> dict[str, Any]:
+    """Of a summary what is compared with another run's, by a name with its unit; None where it is not a number, or never."""
+    found: dict[str, Any] = {"verdict": summary["verdict"]["status"]}
+    for name, sheet in summary["sheets"].items():
+        found[f"{name}: fed (mm)"] = sheet["fed"]
+        found[f"{name}: largest curvature (1/mm)"] = sheet["largest_curvature"]
+        for part, margin in sheet["jam_margins"].items():
+            found[f"{name}: distance from a jam, {part}"] = margin
+        for sensor, times in sheet["arrivals"].items():
             for edge in ("lead", "tail"):
-                yield (
-                    f"{name}: {edge} edge at {sensor} (s)",
-                    old.get("arrivals", {}).get(sensor, {}).get(edge),
-                    times[edge],
-                )
-    for name in after["rollers"]:
-        old, new = before["rollers"].get(name, {}), after["rollers"][name]
-        for key, meaning in COMPARED.items():
-            yield f"{name}: {meaning}", old.get(key), new[key]
-    for name, new in after.get("guides", {}).items():
-        old = before.get("guides", {}).get(name, {})
-        for key, meaning in GUIDES.items():
-            yield f"{name}: {meaning}", old.get(key), new[key]
-    for name, new in after.get("energy", {}).items():
-        yield f"{name} (N mm)", before.get("energy", {}).get(name), new
+                found[f"{name}: {edge} edge at {sensor} (s)"] = times[edge]
+    for section, compared in (("rollers", COMPARED), ("guides", GUIDES)):
+        for name, part in summary.get(section, {}).items():
+            found |= {f"{name}: {meaning}": part.get(key) for key, meaning in compared.items()}
+    return found | {f"{name} (N mm)": value for name, value in summary.get("energy", {}).items()}
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------
