@@ -87,7 +87,10 @@ def design(
         confirmed = _confirmed(result) if confirm and result.improved else None
         if out:
             if not no_pictures:
-                click.echo("pictures and blame maps (a gradient by every place)", err=True)
+                more = (
+                    "a gradient by every place, which may take longer than the search (--no-pictures leaves them out)"
+                )
+                click.echo(f"pictures and blame maps: {more}", err=True)
             with plain_errors(f"the result could not be written to {out}; --resume writes it again"):
                 names = write_result(out, result, not no_pictures, confirmed)
             click.echo(f"written to {out}: {', '.join(names)}, history.jsonl")

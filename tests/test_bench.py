@@ -578,7 +578,7 @@ def test_from_a_scene_to_advice(tmp_path):
     told = run_command("advise", scene, "--error", "100", "--from", out, "--duration", "0.01")
     assert told.returncode == 0, told.stderr
     assert "Use " in told.stdout
-    assert f"diffeed run {scene} --dt " in told.stdout
+    assert f"diffeed run {scene} --duration 0.01 --dt " in told.stdout
     none = run_command("advise", scene, "--error", "1e-30", "--from", out, "--duration", "0.01")
     assert none.returncode == 1
     assert "The best there is" in none.stdout
