@@ -138,6 +138,21 @@ def test_labels_avoid_each_other_and_obstacles():
         assert np.all(away.any(axis=1))
 
 
+def test_no_leader_line_strikes_a_name_through(monkeypatch):
+    """Of the long path, whose guides and nips stand close together."""
+    placed, place = [], labels.place
+    monkeypatch.setattr(
+        labels, "place", lambda wanted, *given: placed.append((wanted, place(wanted, *given))) or placed[-1][1]
+    )
+    plot.machine(diffeed.load_scene("long_path"))
+    ((wanted, spots),) = placed
+    for label, name in zip(wanted, spots, strict=True):
+        for other in (spot for spot in spots if spot is not name):
+            line = other.anchor + np.linspace(0.0, 1.0, 200)[:, None] * (other.center - other.anchor)
+            inside = np.all(np.abs(line - name.center) < 0.5 * np.array(label.size) - 1.0, axis=1)
+            assert not inside.any(), (label.text, other)
+
+
 def test_turning_reads_speeds_and_profiles():
     drive = SCENE.rollers["drive_1"]
     later = Profile(times=(0.0, 0.1), values=(0.0, 20.0))

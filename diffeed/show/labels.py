@@ -7,6 +7,8 @@ import numpy as np
 DIRECTIONS = 16
 RINGS = (3.0, 10.0, 18.0, 28.0, 40.0, 54.0)
 PER_DISTANCE, PER_WRONG_SIDE, PER_OBSTACLE, PER_OVERLAP = 0.25, 6.0, 2.0, 1.0
+PER_CROSSED, ALONG = 4.0, 9
+"""For each point, of so many along a leader line, that lies on a name: a name that is struck through is hard to read."""
 PER_NEARER_OTHER = 1.0
 """For each point by which a label stands nearer to what another names than to its own: it would be read as that one's."""
 
@@ -34,7 +36,7 @@ def place(labels: list[Label], obstacles: np.ndarray, frame: tuple[float, float,
 
     `obstacles` (points, 2) are samples of everything drawn; `frame` is (left, bottom, right, top).
     """
-    taken = np.zeros((0, 4))
+    taken, leaders = np.zeros((0, 4)), np.zeros((0, 2))
     places: dict[int, Place] = {}
     for i in sorted(range(len(labels)), key=lambda i: -labels[i].size[0]):
         label = labels[i]
@@ -42,11 +44,14 @@ def place(labels: list[Label], obstacles: np.ndarray, frame: tuple[float, float,
         boxes = _boxes(centers, label.size)
         cost = PER_DISTANCE * distance + PER_WRONG_SIDE * ((centers - anchors) @ np.array(label.side) < 0.0)
         cost = cost + PER_OBSTACLE * _count_inside(boxes, obstacles)
+        lines = anchors[:, None] + np.linspace(0.0, 1.0, ALONG)[:, None] * (centers - anchors)[:, None]
+        struck = _count_inside(taken, lines.reshape(-1, 2), axis=0).reshape(len(centers), ALONG).sum(axis=1)
+        cost = cost + PER_CROSSED * (struck + _count_inside(boxes, leaders))
         cost = cost + PER_OVERLAP * _overlap(boxes, taken) + 10.0 * _outside(boxes, frame)
         others = np.vstack([other.anchors for other in labels if other is not label] or [np.zeros((0, 2))])
         cost = cost + PER_NEARER_OTHER * np.maximum(_away(boxes, label.anchors) - _away(boxes, others), 0.0)
         best = int(np.argmin(cost))
-        taken = np.vstack([taken, boxes[best]])
+        taken, leaders = np.vstack([taken, boxes[best]]), np.vstack([leaders, lines[best]])
         places[i] = Place(centers[best], anchors[best])
     return [places[i] for i in range(len(labels))]
 
@@ -76,10 +81,11 @@ def _away(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.hypot(outside[..., 0], outside[..., 1]).min(axis=1)
 
 
-def _count_inside(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _count_inside(boxes: np.ndarray, points: np.ndarray, axis: int = 1) -> np.ndarray:
+    """Of each box how many points it holds; with `axis` 0 of each point how many boxes hold it."""
     x, y = points[:, 0], points[:, 1]
     left, bottom, right, top = boxes.T[:, :, None]
-    return np.sum((x > left) & (x < right) & (y > bottom) & (y < top), axis=1)
+    return np.sum((x > left) & (x < right) & (y > bottom) & (y < top), axis=axis)
 
 
 def _overlap(boxes: np.ndarray, taken: np.ndarray) -> np.ndarray:
