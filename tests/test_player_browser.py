@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from stand_in import film_feeder, run
 
+from diffeed import Sensor
 from diffeed.player import write_player
 
 BINARY = browser.find()
@@ -93,6 +94,16 @@ def test_the_key_of_a_dotted_curve_is_dotted(player, crowded):
     assert player.run(DOTTED) == []
     player.open(crowded)
     assert player.run(DOTTED) == ["wall_1", "wall_2"]
+
+
+def test_parts_of_one_name_are_all_named(player, tmp_path):
+    """A guide, and a sensor where there is room, that bear a roller's name."""
+    guides = {("drive_1" if name == "turn" else name): guide for name, guide in SCENE.guides.items()}
+    gate = Sensor(position=np.array([-150.0, 60.0]), direction=np.array([1.0, 0.0]), range=np.array(20.0))
+    scene = dataclasses.replace(SCENE, guides=guides, sensors={"drive_1": gate})
+    player.open(write_player(tmp_path / "run.html", scene, run(scene)))
+    named = player.run("diffeed.painter.names.filter(n => n.text === 'drive_1').map(n => n.key).sort()")
+    assert named == ["guides.drive_1", "rollers.drive_1", "sensors.drive_1"]
 
 
 def test_play_moves_time_and_pause_stops_it(player):

@@ -131,4 +131,4 @@ function begin() {
 }
 
 begin();
-window.diffeed = { state, runs, times, view, charts, show };
+window.diffeed = { state, runs, times, view, charts, painter, show };
