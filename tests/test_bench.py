@@ -460,6 +460,7 @@ def test_a_transport_path_has_the_parts_asked_for_and_is_sound(guides, driven, n
     assert diffeed.check(scene) == []
 
 
+@pytest.mark.long
 def test_the_sheet_of_a_transport_path_moves_on():
     run = diffeed.simulate(transport.transport(bars=5, duration=0.05), dt=1e-3, frames=2)
     moved = run.sheets["sheet"].nodes[-1, 0, 0] - run.sheets["sheet"].nodes[0, 0, 0]

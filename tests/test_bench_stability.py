@@ -69,6 +69,7 @@ def batch() -> stability.Batch:
     return stability.Batch([Case("bars", 5), Case("bars", 5)])
 
 
+@pytest.mark.long
 def test_a_run_far_above_the_limit_fails_and_was_refused(batch):
     rows = list(batch.rows("runge_kutta", 2e-3, batch.run("runge_kutta", 2e-3), NOTHING, [1e-4, 1e-4]))
     assert {(r["became"], r["refused"]) for r in rows} == {("failed", True)}

@@ -239,6 +239,7 @@ def test_the_roller_carries_what_drags_the_sheet():
     assert carried(1.0) - carried(0.5) == pytest.approx(np.pi / 6.0, rel=0.01)
 
 
+@pytest.mark.long
 def test_every_pull_on_a_wrap_finds_its_rest():
     """Bars that meet a roller one after the other, and leave it: a search that is thrown by them fails for some pulls."""
     scene = ripple.scene(20)

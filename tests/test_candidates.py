@@ -90,6 +90,7 @@ def rocking_bed(seed: int) -> diffeed.Scene:
     return replace(low, sheets={"strip": replace(low.sheets["strip"], lead=(30.0, -0.6))})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("skin", ["bars", "smooth"])
 @pytest.mark.parametrize("structure", [functools.partial(draw, "guided"), rocking_bed], ids=["guided", "bed"])
 def test_no_pair_touches_unless_its_normal_says_so(structure, skin):
@@ -155,6 +156,7 @@ def forgotten():
     jax.clear_caches()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tolerance", [None, 1e-2])
 def test_a_list_that_was_too_short_is_told(tolerance, monkeypatch, forgotten):
     scene = normalise(pressed())
@@ -225,6 +227,7 @@ def test_a_rest_on_many_short_lines_is_found(lying):
     assert float(lying[1].y[0]) == pytest.approx(0.05 + np.mean(0.5 * (below[1:] + below[:-1])), abs=0.01)
 
 
+@pytest.mark.long
 def test_a_run_on_many_short_lines_lists_those_that_bear(lying, monkeypatch, forgotten):
     """Lines that end before a node, and others that begin behind it, do not wait to be felt, in front or behind."""
     scene, rest = lying

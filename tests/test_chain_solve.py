@@ -91,8 +91,8 @@ def constrained_solve(system: System, layout: Layout) -> np.ndarray:
 
 
 @pytest.mark.parametrize("bars", [(1,), (2,), (7,), (3, 1, 4)])
-@pytest.mark.parametrize("columns", [0, 1, 3])
-@pytest.mark.parametrize("clamps", [0, 1, 3])
+@pytest.mark.parametrize("columns", [0, pytest.param(1, marks=pytest.mark.long), 3])
+@pytest.mark.parametrize("clamps", [0, pytest.param(1, marks=pytest.mark.long), 3])
 @pytest.mark.parametrize("way", [dense, elimination])
 def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, clamps, way):
     layout = Layout(tuple(f"s{k}" for k in range(len(bars))), bars)
@@ -103,6 +103,7 @@ def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, 
     np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("clamps", [0, 2])
 def test_rollers_apart_are_eliminated_one_by_one(monkeypatch, clamps):
     """Three with one unknown, two with two: as the whole matrix has it."""
@@ -136,6 +137,7 @@ def test_rollers_that_never_meet_cost_no_choice():
     assert choices(idle) == choices(few)
 
 
+@pytest.mark.long
 def test_long_chain_keeps_its_digits():
     layout = Layout(("s",), (300,))
     system = random_system(layout, 1, 2)

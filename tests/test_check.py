@@ -235,6 +235,7 @@ def test_traced_numbers_pass_but_their_shape_is_checked():
     assert jax.jit(jax.grad(judge))(3.0) == 1.0
 
 
+@pytest.mark.long
 def test_a_soft_roller_may_give_way_at_rest():
     """60 N/mm under 5 N: more than half the thickness of the sheet, and far less than a run would call too deep. Under 500 N
     it lies on the way to the other side, held by its stop alone; without one it would not come to rest."""

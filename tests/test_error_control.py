@@ -64,6 +64,7 @@ def test_error_falls_with_the_tolerance(stepper, rest, converged):
     assert steps[0] < steps[1] < 400
 
 
+@pytest.mark.long
 def test_steps_are_short_in_the_impact_and_long_after_it(rest):
     first, whole = (
         int(diffeed.simulate(FEEDER, tolerance=1e-3, initial=rest, **SHORT | {"duration": t}).steps)
@@ -96,6 +97,7 @@ def test_derivative_is_that_of_the_steps_taken(stepper, rest):
     assert slope == 0.0
 
 
+@pytest.mark.long
 def test_derivative_of_a_free_fall_is_exact():
     """Through accepted and rejected steps, blocks and frames: the way of a falling sheet by gravity is t^2/2."""
     scene = replace(free_sheet(np.random.default_rng(0)), gravity=jnp.array([0.0, -9810.0]))
@@ -353,6 +355,7 @@ def test_a_guide_that_moves_later_is_later():
     np.testing.assert_allclose(slopes, [0.0, 0.0, 0.0, -50.0, -50.0, 0.0, 0.0], atol=1.0)
 
 
+@pytest.mark.long
 def test_a_clamp_that_moves_later_is_later():
     """It lifts a sheet by 2.5 mm in 50.1 ms from 50.3 ms on; frames do not end at its corners."""
 

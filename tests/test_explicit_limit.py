@@ -94,6 +94,7 @@ def alternating(bars: int) -> np.ndarray:
     return 1e-3 * (-1.0) ** np.arange(bars)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("bars", "ends"), [(10, 0.04), (40, 0.01)])
 def test_bending_of_a_free_chain(bars, ends):
     theory = WAVE / finite(bars)

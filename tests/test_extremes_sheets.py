@@ -66,6 +66,7 @@ AGREES = {FIRST_ORDER: 2e-3, "extrapolated_euler": 1e-3, "midpoint": 1e-3, EXPLI
 """Of the largest opening. With a half step h w = 0.012: (h w)^2 times a phase of 3 for order two, far less for order four."""
 
 
+@pytest.mark.long
 @EACH
 @pytest.mark.parametrize("name", FREE)
 def test_two_bars_move_as_their_one_freedom_does(name, method):
@@ -330,6 +331,7 @@ def _inner(equation) -> list:
     return [getattr(v, "jaxpr", v) for v in leaves if hasattr(v, "eqns") or hasattr(v, "jaxpr")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_cost_grows_with_the_bars_not_with_their_square(method):
     """The program of 500 bars has the equations of that of 250, and no array in it has two sides of the number of bars."""

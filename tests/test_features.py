@@ -46,6 +46,7 @@ def test_a_swinging_guide_lifts_the_sheet_that_lies_on_it():
     assert float(run.sheets["a"].nodes[-1, 0, 1]) == pytest.approx(60.0 * np.tan(np.deg2rad(5.0)), abs=0.1)
 
 
+@pytest.mark.long
 def test_a_moving_belt_of_a_guide_drags_the_sheet_along():
     """A guide that moves along itself at 100 mm/s drags the sheet up to its own speed: friction sees the guide's velocity."""
     path = Motion(times=(0.0, 1.0), displacement=((0.0, 0.0), (100.0, 0.0)), rotation=(0.0, 0.0))
@@ -54,6 +55,7 @@ def test_a_moving_belt_of_a_guide_drags_the_sheet_along():
     assert float(run.sheets["a"].velocities[-1, 0, 0]) == pytest.approx(100.0, rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_moving_roller_carries_its_surface_with_it():
     """A held roller under a clamped sheet, moved sideways: the sheet is dragged by the centre's velocity."""
     path = Motion(times=(0.0, 1.0), displacement=((0.0, 0.0), (50.0, 0.0)), rotation=(0.0, 0.0))

@@ -146,6 +146,7 @@ def test_a_span_of_no_path_is_refused():
         diffeed.gradient_check(nip(), [path], spans={"rollers.pinch.preld": 0.1})
 
 
+@pytest.mark.long
 def test_a_measure_gives_one_number_with_a_fraction():
     def forgot(scene, run):
         fed(scene, run)

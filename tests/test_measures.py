@@ -79,6 +79,7 @@ def test_progress_counts_fed_over_commanded(run):
     assert float(feed.commanded) == pytest.approx(9.0, rel=2e-3)
 
 
+@pytest.mark.long
 def test_what_a_roller_turns_is_fed_or_slips(run):
     """Also of a sheet that moves aside where it is bent, as all of it then is not as fast along itself as in the nip."""
     bent = replace(nip(), sheets={"a": replace(nip().sheets["a"], curl=0.01)}, guides={}, gravity=(0.0, 0.0))
@@ -289,6 +290,7 @@ def test_two_drives_against_each_other_are_told():
     assert "backwards" not in measures.verdict(alike, diffeed.simulate(alike, dt=2e-4, frames=51)).reason
 
 
+@pytest.mark.long
 def test_a_pinch_that_never_reaches_a_sheet_that_stops_is_told():
     """Held off by its stop, 0.8 mm above a sheet that is flat. One that the lead has not come to is none of it."""
     stiff, stopped, _ = VERDICTS["stalled at a stop"]
@@ -310,6 +312,7 @@ def test_a_sensor_that_looks_the_wrong_way_is_told():
     assert verdict.reason.endswith("; its tail passed sensor exit against the sensor's direction")
 
 
+@pytest.mark.long
 def test_a_sensor_beside_the_path_is_told():
     aside = nip(sensors=nip().sensors | {"exit": Sensor(position=(-15.0, 40.0), direction=(1.0, 0.0), range=20.0)})
     verdict = measures.verdict(aside, diffeed.simulate(aside, dt=5e-4, frames=51))

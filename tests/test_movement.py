@@ -41,6 +41,7 @@ def moved(motion: Motion | None, time: float, point) -> np.ndarray:
 OF_TWO, OF_FOUR = {"d", "bend", "post"}, {"c", "wheel"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("time", "fast"),
     [(0.0, OF_TWO | OF_FOUR), (0.03, OF_TWO | OF_FOUR), (0.07, OF_TWO | OF_FOUR), (0.15, OF_TWO), (0.3, set())],

@@ -419,6 +419,7 @@ def test_gradients_that_cannot_be_are_told():
     assert "promised" not in told(result, near), "it came near its target"
 
 
+@pytest.mark.long
 def test_gradients_that_keep_no_promise_are_told():
     """Exact slopes of what single time steps do, of which nothing is left over the way that a search goes."""
     result = design(problem_of(search={"iterations": 1}))

@@ -254,6 +254,7 @@ def test_a_file_that_is_none(tmp_path):
         load_study(broken)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(n for n in shipped_studies() if not is_tolerance(read_table(n)[0])))
 def test_shipped_studies_are_sound(name):
     study = load_study(name)

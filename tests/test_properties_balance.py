@@ -116,6 +116,7 @@ def test_the_midpoint_rule_comes_back_at_any_step(seed):
         assert missed["extrapolated_euler"] > 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", HIGH_ORDER)
 def test_way_back_is_missed_by_the_order_of_the_method(method):
     scene = replace(free(0, damped=False), gravity=jnp.zeros(2))
@@ -261,6 +262,7 @@ def test_losses_explain_the_energy(seed):
     assert fine < 0.5 * coarse
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_observed_energy_is_the_integral_of_the_powers(method):
     trajectory, book = every_step(slider(0), method)
@@ -315,6 +317,7 @@ def test_settled_sheet_stays(method):
     assert np.max(np.abs(track.velocities)) < 1e-9 * fall
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_symmetric_nips_do_not_buckle_a_straight_sheet(method):
     """The rear nip feeds faster than the front one: the sheet is pressed, and by symmetry stays in its line."""
@@ -334,6 +337,7 @@ EULER_LOAD = np.pi**2 * 300.0 * 0.5**3 * 30.0 / 12.0 / 60.0**2
 KICK = 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_kick_grows_above_the_euler_load_only(method):
     """Pressed between pins with 0.8 and 1.5 times the Euler load (0.5 mm bars' discretisation moves it by 2 %)."""

@@ -68,6 +68,7 @@ def test_rolled_up_sheet_does_not_wrap(method):
         assert difference(turned(out, angle), outputs(run(turned(scene, angle), method))) < 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("structure", ["free_sheet", "guided"])
 @pytest.mark.parametrize("seed", SEEDS)
@@ -78,6 +79,7 @@ def test_common_velocity_does_not_matter(structure, method, seed):
     assert difference(expected, outputs(run(carried(scene, velocity, None), method))) < 1e-9
 
 
+@pytest.mark.long
 @every_case
 def test_mirror_image(structure, method, seed):
     scene = draw(structure, seed)

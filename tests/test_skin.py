@@ -78,6 +78,7 @@ def test_the_ends_of_a_sheet_are_round():
         np.testing.assert_allclose(forces(bent(8), x, np.full_like(x, -RADIUS - 0.03)), expected, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_circle_rolls_along_a_bent_sheet_without_the_noise_of_a_polygon(side):
     """Bars that turn by 8.6 degrees each: the force ripples by 0.25 % where the polygon's ripples by 40 % and more (measured
@@ -173,6 +174,7 @@ def test_bars_feel_together_what_the_skin_feels():
     assert float(power) == pytest.approx(float(given), rel=1e-10)
 
 
+@pytest.mark.long
 def test_frames_show_what_bars_feel():
     scene = everything()
     model = build(scene)
@@ -271,6 +273,7 @@ def test_a_nip_feeds():
     assert float(run.observed["feed"]["a"].fed) == pytest.approx(80.0 * 0.04, rel=0.02)
 
 
+@pytest.mark.long
 def test_energy_is_accounted_for():
     """What the step itself loses of the work of the drive: a tenth at 2e-4 s, most of it while the nip closes."""
     balance = diffeed.measures.energy_balance(feeder(), fed(2e-4))

@@ -215,6 +215,7 @@ def test_sobol_indices_of_ishigami():
         assert (high - low > 0.005).all()
 
 
+@pytest.mark.long
 def test_sobol_intervals_cover_independent_points():
     """y = z0 + 2 z1 with normal inputs, points drawn independently: shares 0.2 and 0.8, first and total alike."""
     rng = np.random.default_rng(8)
@@ -229,6 +230,7 @@ def test_sobol_intervals_cover_independent_points():
     assert 0.96 <= np.mean(inside) <= 0.99  # 0.975 on either side
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3])
 def test_runs_that_fail_give_no_input_a_share(share):
     """The measure follows the first input alone, at random some runs fail: filled in, those would count for the second."""

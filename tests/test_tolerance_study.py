@@ -272,6 +272,7 @@ def test_a_gain_without_an_estimate_is_explained():
 # --- the same however it is run -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_rows_do_not_depend_on_the_chunk(rows):
     other = run_study(problem(), here(problem(), 5))
     assert np.array_equal(other.deviation, rows.deviation)

@@ -217,6 +217,7 @@ def test_runge_kutta_order() -> None:
     assert error("f5", 25, coarse.nodes[0]) > 16.0 * error("f5", 25, exact_run("f5").nodes[25])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("method", "order"), [("linear_euler", 1.0), ("extrapolated_euler", 2.0), ("midpoint", 2.0)])
 def test_a_pinned_end_costs_no_order(method: str, order: float) -> None:
     """A strip that swings from a pin, without contact, against the explicit method at small steps."""
