@@ -47,7 +47,7 @@ def test_is_listed(path):
 def test_runs_without_a_warning_and_leaves_nothing_behind(path, tmp_path):
     notebook = read(path)
     NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+        notebook, timeout=900, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     ).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     said = [o.text for o in outputs if o.output_type == "stream" and o.name == "stderr"]

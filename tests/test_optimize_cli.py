@@ -50,7 +50,7 @@ def place(tmp_path_factory):
 
 def run(place, *words):
     return subprocess.run(
-        [sys.executable, "-m", "optimize", *words], cwd=place, capture_output=True, text=True, timeout=300,
+        [sys.executable, "-m", "optimize", *words], cwd=place, capture_output=True, text=True, timeout=900,
         env={"PATH": "/usr/bin:/bin", "HOME": str(place), "PYTHONPATH": str(ROOT), "COLUMNS": "110"},
     )  # fmt: skip
 
