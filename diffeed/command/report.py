@@ -83,6 +83,7 @@ def print_changes(console: "Console", before: dict[str, Any], after: dict[str, A
     """What differs between two summaries by more than 0.1 %, and what of that is not so with shorter steps."""
     table = plain_table("", "before", "after", "change")
     old, new = numbers(before), numbers(after)
+    marked = False
     with_shorter_steps = [summary.get("finer") or {} for summary in (before, after)]
     for name, value in new.items():
         earlier = old.get(name)
@@ -93,11 +94,12 @@ def print_changes(console: "Console", before: dict[str, Any], after: dict[str, A
             table.add_row(name, _digits(earlier), _digits(value), "")
         elif earlier is not None and abs(value - earlier) > SAME * max(abs(earlier), abs(value)):
             change = value - earlier
-            mark = " *" if _is_another(change, *(run.get(name) for run in with_shorter_steps)) else ""
-            table.add_row(name, _digits(earlier), _digits(value), f"{change:+.3g}{mark}")
+            another = _is_another(change, *(run.get(name) for run in with_shorter_steps))
+            table.add_row(name, _digits(earlier), _digits(value), f"{change:+.3g}{' *' if another else ''}")
+            marked |= another
     console.print(f"\nBefore and after, what differs by more than {100 * SAME:g} %", style="bold")
     console.print(table if table.row_count else "nothing")
-    if any(str(cell).endswith("*") for cell in table.columns[-1].cells):
+    if marked:
         console.print(BY_STEPS, style="dim")
     lengths = [summary["run"]["simulated"] for summary in (before, after)]
     if abs(lengths[1] - lengths[0]) > SAME * max(lengths):

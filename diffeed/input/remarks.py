@@ -33,8 +33,8 @@ THINNEST, THICKEST = 2e-3, 10.0
 """mm."""
 NARROWEST = 1.0
 """mm of a sheet's width: less may be metres. A length in metres is refused, for its bars are shorter than the sheet is thick."""
-RADIANS = np.pi / 12
-"""What angles in radians are multiples of."""
+RADIANS, AS_GIVEN = np.pi / 12, 2e-3
+"""What angles in radians are multiples of, and how near to one (pi may be 3.14): none in degrees with one decimal is so near."""
 SLOWEST, FASTEST = 5.0, 8000.0
 """mm/s: a drive that never turns faster than this, and one that does."""
 GRAVITY = (9.0, 10.5)
@@ -121,9 +121,9 @@ def _in_radians(path: str, part: Any, field: str) -> Iterator[str]:
     value = number_of(part, field)
     if value is None or not 0.0 < abs(value) < 2.0 * np.pi + RADIANS:
         return
-    share = abs(value) / RADIANS
-    if round(share) and abs(share - round(share)) < 1e-3 * share:
-        meant = np.rad2deg(np.sign(value) * round(share) * RADIANS)
+    times = round(value / RADIANS)
+    if times and abs(value - times * RADIANS) < AS_GIVEN:
+        meant = np.rad2deg(times * RADIANS)
         yield f"{path}.{field} is {value:g} degrees: in radians? Then it is {meant:g}"
 
 

@@ -1,14 +1,15 @@
 """Parts that are where they hardly do good: a pinch that opens its nip, a guide in a roller, a bend too tight for bars."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from diffeed.input.check_values import number_of, sound
 from diffeed.input.parts import ArcGuide, LineGuide, MovableRoller, Scene
 
-COARSE = 0.5
-"""Of the radius of an arc that bends a sheet: a longer bar cannot follow it."""
+COARSE, FINE = 0.5, 0.25
+"""Of the radius of an arc that bends a sheet: a longer bar cannot follow it, one of the second length can."""
 BEND = 30.0
 """Degrees of an arc that bends a sheet."""
 BLADE = 0.5
@@ -21,6 +22,14 @@ BESIDE = 0.3
 """Cosine between the travel of a pinch and the way to its partner: less hardly presses."""
 
 
+def _rollers(scene: Scene) -> Iterator[tuple[str, Any, np.ndarray, float]]:
+    """Name, record, centre and radius of those of which both are known."""
+    for name, roller in sorted(scene.rollers.items()):
+        center, radius = sound(roller, "center"), number_of(roller, "radius")
+        if center is not None and radius is not None:
+            yield name, roller, center, radius
+
+
 def bends(path: str, guide: ArcGuide, scene: Scene) -> Iterator[str]:
     """Bars that are too long to lie along an arc."""
     sweep, radius = number_of(guide, "sweep"), number_of(guide, "radius")
@@ -29,7 +38,7 @@ def bends(path: str, guide: ArcGuide, scene: Scene) -> Iterator[str]:
     for name, sheet in sorted(scene.sheets.items()):
         length = number_of(sheet, "length")
         if length and length / sheet.bars > COARSE * radius and length > radius * np.deg2rad(abs(sweep)):
-            enough = int(np.ceil(length / (0.5 * COARSE * radius)))
+            enough = int(np.ceil(length / (FINE * radius)))
             yield (
                 f"sheets.{name}.bars is {sheet.bars}: bars of {length / sheet.bars:.3g} mm cannot follow {path}, whose radius is"
                 f" {radius:g} mm; with {enough} they can"
@@ -43,9 +52,8 @@ def out_of_reach(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str
     if center is None or way is None or radius is None or stop is None or not sheets or not np.any(way):
         return
     nearest, gap = "", NIP
-    for name, other in sorted(scene.rollers.items()):
-        place, size = sound(other, "center"), number_of(other, "radius")
-        if other is roller or place is None or size is None:
+    for name, other, place, size in _rollers(scene):
+        if other is roller:
             continue
         left = float(np.hypot(*(center + stop * way / np.hypot(*way) - place))) - radius - size
         nearest, gap = (name, left) if left < gap else (nearest, gap)
@@ -64,12 +72,9 @@ def pinch(path: str, roller: MovableRoller, scene: Scene) -> Iterator[str]:
         return
     if center is None or way is None or radius is None or not preload:
         return
-    for name, other in sorted(scene.rollers.items()):
-        place, size = sound(other, "center"), number_of(other, "radius")
-        if other is roller or place is None or size is None:
-            continue
-        towards = np.asarray(place) - center
-        if np.hypot(*towards) - radius - size >= NIP:
+    for name, other, place, size in _rollers(scene):
+        towards = place - center
+        if other is roller or np.hypot(*towards) - radius - size >= NIP:
             continue
         share = way @ towards / (np.hypot(*way) * np.hypot(*towards))
         if abs(share) < BESIDE:
@@ -86,9 +91,8 @@ def through(path: str, guide: LineGuide | ArcGuide, scene: Scene) -> Iterator[st
     face = _face(guide)
     if face is None or guide.motion is not None:
         return
-    for name, roller in sorted(scene.rollers.items()):
-        center, radius = sound(roller, "center"), number_of(roller, "radius")
-        if center is None or radius is None or getattr(roller, "motion", None) is not None:
+    for name, roller, center, radius in _rollers(scene):
+        if getattr(roller, "motion", None) is not None:
             continue
         way, away = np.diff(face, axis=0), center - face[:-1]
         share = np.clip(np.sum(away * way, axis=1) / np.sum(way**2, axis=1), 0.0, 1.0)

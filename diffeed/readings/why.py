@@ -24,7 +24,7 @@ TOLD = 3
 def reasons(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding, stalled: int | None) -> str:
     """What goes behind the words of a verdict. `fed`: of this sheet, (frames, ...); `stalled`: since which frame, if it is."""
     model = jax.eval_shape(build, scene)  # names and counts only
-    told = "" if stalled is None else _slipping(model, np.asarray(fed.surface)[stalled:])
+    told = "" if stalled is None else _slipping(model, *(np.asarray(v)[stalled:] for v in (fed.surface, fed.speed)))
     if model.has_bodies:
         told += _missed(model, scene, trajectory, name)
     return told + _wrong_way(model, scene, trajectory, name, fed)
@@ -36,13 +36,13 @@ def still_to_go(scene: Scene, trajectory: Trajectory, name: str, fed: Feeding) -
     return f": it is {np.hypot(*way):.3g} mm away, and its sheet moves at {float(fed.speed[-1]):.3g} mm/s"
 
 
-def _slipping(model: Model, speed: np.ndarray) -> str:
-    """Which rollers turn on under a sheet that stands; their (frames, rollers) surface speeds."""
-    turning = speed != 0
-    mean = np.sum(speed, axis=0) / np.maximum(np.sum(turning, axis=0), 1)
-    order = np.argsort(-np.sum(turning, axis=0), kind="stable")
-    found = [f"{model.rollers.names[k]} slips on it at {abs(mean[k]):.3g} mm/s" for k in order if np.any(turning[:, k])]
-    return "".join(f"; {each}" for each in found[:TOLD])
+def _slipping(model: Model, surface: np.ndarray, speed: np.ndarray) -> str:
+    """Which rollers turn on under a sheet that stands, those first that do so longest: their (frames, rollers) surface speeds,
+    and the sheet's own."""
+    turning = surface != 0
+    slip = np.sum(np.where(turning, surface - speed[:, None], 0.0), axis=0) / np.maximum(turning.sum(axis=0), 1)
+    order = [k for k in np.argsort(-turning.sum(axis=0), kind="stable") if turning[:, k].any()]
+    return "".join(f"; {model.rollers.names[k]} slips on it at {abs(slip[k]):.3g} mm/s" for k in order[:TOLD])
 
 
 def _missed(model: Model, scene: Scene, trajectory: Trajectory, name: str) -> str:

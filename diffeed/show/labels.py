@@ -43,10 +43,10 @@ def place(labels: list[Label], obstacles: np.ndarray, frame: tuple[float, float,
         centers, anchors, distance = _candidates(label)
         boxes = _boxes(centers, label.size)
         cost = PER_DISTANCE * distance + PER_WRONG_SIDE * ((centers - anchors) @ np.array(label.side) < 0.0)
-        cost = cost + PER_OBSTACLE * _count_inside(boxes, obstacles)
+        cost = cost + PER_OBSTACLE * _inside(boxes, obstacles).sum(axis=1)
         lines = anchors[:, None] + np.linspace(0.0, 1.0, ALONG)[:, None] * (centers - anchors)[:, None]
-        struck = _count_inside(taken, lines.reshape(-1, 2), axis=0).reshape(len(centers), ALONG).sum(axis=1)
-        cost = cost + PER_CROSSED * (struck + _count_inside(boxes, leaders))
+        struck = _inside(taken, lines.reshape(-1, 2)).sum(axis=0).reshape(len(centers), ALONG).sum(axis=1)
+        cost = cost + PER_CROSSED * (struck + _inside(boxes, leaders).sum(axis=1))
         cost = cost + PER_OVERLAP * _overlap(boxes, taken) + 10.0 * _outside(boxes, frame)
         others = np.vstack([other.anchors for other in labels if other is not label] or [np.zeros((0, 2))])
         cost = cost + PER_NEARER_OTHER * np.maximum(_away(boxes, label.anchors) - _away(boxes, others), 0.0)
@@ -81,11 +81,11 @@ def _away(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.hypot(outside[..., 0], outside[..., 1]).min(axis=1)
 
 
-def _count_inside(boxes: np.ndarray, points: np.ndarray, axis: int = 1) -> np.ndarray:
-    """Of each box how many points it holds; with `axis` 0 of each point how many boxes hold it."""
+def _inside(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(boxes, points) bool."""
     x, y = points[:, 0], points[:, 1]
     left, bottom, right, top = boxes.T[:, :, None]
-    return np.sum((x > left) & (x < right) & (y > bottom) & (y < top), axis=axis)
+    return (x > left) & (x < right) & (y > bottom) & (y < top)
 
 
 def _overlap(boxes: np.ndarray, taken: np.ndarray) -> np.ndarray:
