@@ -4,12 +4,14 @@ A guide feels points of a sheet, so a bar can straddle it unfelt. And it feels w
 depth as pressed in: what comes there past the guide's end, where nothing stops it, is thrown out with energy from nowhere.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from diffeed.base.smooth import polar
+from diffeed.base.sweeps import totals
 from diffeed.chain.kinematics import Pose, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies
@@ -31,45 +33,47 @@ class _Seen(NamedTuple):
 
 
 class Misplaced(NamedTuple):
-    """Guides, (lines + arcs,) bool."""
+    """Bool, of guides (lines + arcs,) or of all together."""
 
     across: Array  # a bar has its ends on both sides, one of them deep behind
     behind: Array  # a bar reaches past a free end behind the face, less than its depth
 
 
 def misplaced(model: Model, state: State) -> Misplaced:
-    """At a state."""
-    return misplaced_at(model, pose(model, state), bodies(model, state, state.time, state.time))
-
-
-def misplaced_at(model: Model, at: Pose, world: Bodies) -> Misplaced:
-    """The sides of a bar's ends alone would also show an end that is pressed in; beyond a guide's own ends a sheet may cross
-    freely."""
-    families = _families(model, at, world)
-    across = [s.across & (s.meets[0] <= 0) & (s.meets[1] <= 0) for s, _ in families]  # 0 everywhere on a full turn
-    return Misplaced(_any_bar(model, across), _any_bar(model, _behind(families)))
-
-
-def _behind(families: list[tuple[_Seen, Face]]) -> list[Array]:
-    found = []
-    for seen, face in families:
-        height, back = seen.height, -(face.tip_radius + CLEARLY)
-        behind = jnp.zeros((height.shape[0], height.shape[1] - 1), bool)
-        for past, joined in zip(seen.beyond, face.joined, strict=True):
-            a, b = past[:, :-1], past[:, 1:]
-            reaches = (a * b < 0) & (joined[:, None] == 0)
-            share = a / jnp.where(reaches, a - b, 1.0)
-            there = height[:, :-1] + share * (height[:, 1:] - height[:, :-1])
-            behind |= reaches & (there < back[:, None]) & (there > -face.depth[:, None])
-        found.append(behind)
-    return found
-
-
-def _any_bar(model: Model, found: list[Array]) -> Array:
-    """(guides, nodes - 1) of each family -> (lines + arcs,)."""
+    """Which guides, at a state."""
+    found = _by_bars(model, pose(model, state), bodies(model, state, state.time, state.time))
     if not found:
-        return jnp.zeros((0,), bool)
-    return jnp.any(jnp.concatenate(found) & ~model.layout.tail[None, :-1], axis=1)
+        return Misplaced(*[jnp.zeros((0,), bool)] * 2)
+    return Misplaced(*(jnp.any(jnp.concatenate(each), axis=1) for each in zip(*found, strict=True)))
+
+
+def any_misplaced(model: Model, at: Pose, world: Bodies) -> Misplaced:
+    """Whether at any guide."""
+    found = [totals(*each) for each in _by_bars(model, at, world)]
+    return Misplaced(*(functools.reduce(jnp.logical_or, each) for each in zip(*found, (False, False), strict=True)))
+
+
+def _by_bars(model: Model, at: Pose, world: Bodies) -> list[Misplaced]:
+    """Of each family (guides, nodes - 1). The sides of a bar's ends alone would also show an end that is pressed in; beyond a
+    guide's own ends a sheet may cross freely."""
+    bar = ~model.layout.tail[None, :-1]
+    return [
+        # 0 everywhere on a full turn
+        Misplaced(seen.across & (seen.meets[0] <= 0) & (seen.meets[1] <= 0) & bar, _behind(seen, face) & bar)
+        for seen, face in _families(model, at, world)
+    ]
+
+
+def _behind(seen: _Seen, face: Face) -> Array:
+    height, back = seen.height, -(face.tip_radius + CLEARLY)
+    behind = jnp.zeros((height.shape[0], height.shape[1] - 1), bool)
+    for past, joined in zip(seen.beyond, face.joined, strict=True):
+        a, b = past[:, :-1], past[:, 1:]
+        reaches = (a * b < 0) & (joined[:, None] == 0)
+        share = a / jnp.where(reaches, a - b, 1.0)
+        there = height[:, :-1] + share * (height[:, 1:] - height[:, :-1])
+        behind |= reaches & (there < back[:, None]) & (there > -face.depth[:, None])
+    return behind
 
 
 def _families(model: Model, at: Pose, world: Bodies) -> list[tuple[_Seen, Face]]:

@@ -6,6 +6,7 @@ Nothing here is felt by the run itself: no force, no gradient.
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.sweeps import largest, totals
 from diffeed.chain.state import State
 from diffeed.contact.kept import Kept, allowed_in_circles
 from diffeed.contact.roller_pairs import RollerPairs
@@ -40,12 +41,13 @@ def of_step(
     """
     then, now = (_speeds(model, state) for state in (before, after))
     idlers = after.spin * model.rollers.radius[model.rollers.free]  # mm/s, of their surfaces
-    rows = [jnp.concatenate([now, idlers]), jnp.concatenate([now - then, jnp.zeros_like(idlers)])]
-    fastest, change = jnp.max(jnp.abs(jnp.stack(rows)), axis=1)  # one sweep: every step pays for it
+    gained = jnp.concatenate([now - then, jnp.zeros_like(idlers)])
+    fastest, change = largest(jnp.abs(jnp.concatenate([now, idlers])), jnp.abs(gained))
     leap = 0.5 * h * change
-    cause = jnp.where(tally.deep > 0, TOO_DEEP, jnp.where(tally.unresolved > 0, UNRESOLVED, 0))
+    cause = jnp.where(tally.deep, TOO_DEEP, jnp.where(tally.unresolved, UNRESOLVED, 0))
     if touching.rollers is not None:
-        cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
+        (deep,) = totals(_depth_of_rollers(model, touching.rollers) > 1.0)
+        cause = jnp.where(deep, TOO_DEEP, cause)
     if explicit:
         cause = jnp.where((cause == 0) & turns_about(model, before, touching, kept, h), TURNED_ABOUT, cause)
     if before.x.dtype == jnp.float32:

@@ -66,19 +66,18 @@ def judged(
     """`Lacks`, (3, sheets), after a step of length h from `time`, in which a contact is entered if `hit`, and whether that
     matters."""
 
-    def more() -> Array:
+    def more() -> tuple[Array, Array]:
         impulse = lost_impulse(model, pairs, kept, h, slower)
         of_features = by_feature(model, (impulse * pairs.nx, impulse * pairs.ny), kept.pairs)
         lost = product(of_features, jnp.asarray(model.layout.sheet_of_feature, impulse.dtype))
         lost = lost / total_per_sheet(model.layout, model.bars.mass)[None]
         old = Lacks(*before)
         left = jnp.exp((old.since - time) / FORGOTTEN)
-        return jnp.stack(Lacks(left * old.x + lost[0], left * old.y + lost[1], jnp.full_like(left, time)))
+        now = Lacks(left * old.x + lost[0], left * old.y + lost[1], jnp.full_like(left, time))
+        return jnp.stack(now), jnp.any(now.x * now.x + now.y * now.y > (NOTICED / FORGOTTEN) ** 2)
 
-    # Most steps enter nothing.
-    after = jax.lax.cond(any_of_batch(hit), more, lambda: before)
-    now = Lacks(*after)
-    return after, jnp.any(now.x * now.x + now.y * now.y > (NOTICED / FORGOTTEN) ** 2)
+    # Most steps enter nothing, and then no sheet lacks more than before.
+    return jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
 
 
 def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, slower: Slower) -> Array:

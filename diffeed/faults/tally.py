@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.products import product
+from diffeed.base.sweeps import totals
 from diffeed.contact.hits import entered
 from diffeed.contact.kept import Kept
 from diffeed.contact.sweep import Pairs
@@ -14,9 +14,9 @@ from diffeed.contact.sweep import Pairs
 class Tally(NamedTuple):
     """Of all pairs of a sheet and a body."""
 
-    deep: Array  # how many are entered more deeply than allowed
-    unresolved: Array  # how many come so much nearer in the step that it does not resolve them
-    entered: Array  # how many do not touch yet and will within the step
+    deep: Array  # bool: any is entered more deeply than allowed
+    unresolved: Array  # bool: any comes so much nearer in the step that it does not resolve it
+    entered: Array  # bool: any does not touch yet and will within the step
     pressed: Array  # kg mm2/s2, a bound on the energy of the contact springs: force times depth
     power: Array  # kg mm2/s3, of the bodies' surfaces on the sheets
 
@@ -24,7 +24,7 @@ class Tally(NamedTuple):
 def tallied(pairs: Pairs | None, kept: Kept, h: Array) -> Tally:
     """Of a step of length h that begins with these pairs, if there are any."""
     if pairs is None:
-        return Tally._make([jnp.zeros(())] * len(Tally._fields))
+        return Tally(*[jnp.zeros((), bool)] * 3, *[jnp.zeros(())] * 2)
     touch, (depth, closing) = pairs.touch, depth_and_approach(pairs, kept, h)
     of_each = Tally(
         deep=(touch.force > 0) & (depth > kept.allowed),
@@ -33,9 +33,7 @@ def tallied(pairs: Pairs | None, kept: Kept, h: Array) -> Tally:
         pressed=touch.force * jnp.maximum(-pairs.gap, 0.0),
         power=touch.force * pairs.u_n - touch.friction * pairs.u_t,
     )
-    rows = [v.astype(pairs.gap.dtype).ravel() for v in of_each]
-    # As a product: the compiler takes a long sum in two calls.
-    return Tally(*product(jnp.stack(rows), jnp.ones_like(rows[0])))
+    return Tally(*totals(*jnp.broadcast_arrays(*of_each)))
 
 
 def depth_and_approach(pairs: Pairs, kept: Kept, h: Array) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from jax import Array
 
 from diffeed.base.products import product
 from diffeed.base.smooth import divide, polar
+from diffeed.base.sweeps import sums
 from diffeed.chain.state import State, total_per_sheet
 from diffeed.chain.system import Solution
 from diffeed.contact import gained, stick
@@ -53,7 +54,7 @@ def share(model: Model, pairs: Pairs, normal: Array, kept: Kept) -> Array:
 def _by_sheet(model: Model, kept: Kept, values: Sequence[Array]) -> Array:
     """(bodies, features) or (pairs,) each -> (values, sheets)."""
     if len(model.layout.names) == 1:
-        return jnp.sum(jnp.stack([v.ravel() for v in values]), axis=1, keepdims=True)
+        return jnp.stack(sums(*values))[:, None]
     of_features = by_feature(model, values, kept.pairs)
     return product(of_features, jnp.asarray(model.layout.sheet_of_feature, of_features.dtype))
 

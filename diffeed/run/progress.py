@@ -14,7 +14,7 @@ from diffeed.chain.state import State, initial_state
 from diffeed.contact import stick
 from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.candidates import Candidates, check_reach
-from diffeed.contact.crossing import misplaced_at
+from diffeed.contact.crossing import any_misplaced
 from diffeed.contact.kept import Kept, keep_all
 from diffeed.contact.profile import in_order
 from diffeed.faults import balance, judge, rebounds
@@ -111,7 +111,7 @@ def taken(
         book = balance.entered(judged, book, tally, met.at, h)
     lacks = carry.lacks
     if met.sheets is not None:
-        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, slower, tally.entered > 0)
+        lacks, lost = rebounds.judged(judged, lacks, met.sheets, near, then.time, h, slower, tally.entered)
         cause = jnp.where((cause == 0) & lost, LOST_REBOUND, cause).astype(jnp.int32)
     # By a sum over an array: a plain `and` would be merged into each of its many readers, with all that it is made of.
     fine = checkpoint_name(jnp.sum(jnp.stack([carry.cause, cause])) == 0, VERDICT)
@@ -154,8 +154,8 @@ def recomputed(step: Step) -> Step:
 
 def _misplaced(model: Model, at: Pose, world: Bodies) -> Array:
     """The cause if a bar is where no sheet may be, else 0."""
-    found = misplaced_at(model, at, world)
-    return jnp.where(jnp.any(found.across), ACROSS, jnp.where(jnp.any(found.behind), BEHIND, 0))
+    found = any_misplaced(model, at, world)
+    return jnp.where(found.across, ACROSS, jnp.where(found.behind, BEHIND, 0))
 
 
 def searched(model: Model, found: Candidates, begun: Resume, carry: Resume) -> Resume:
