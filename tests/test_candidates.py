@@ -62,10 +62,8 @@ def seen(model, state):
     at, world, kept = pose(model, state), bodies(model, state, state.time, state.time), keep_all(model)
     rows = features(model, at)
     near = {"circles": circles_near(rows, world, kept)}
-    if kept.lines is not None:
-        near["lines"] = guides_near(rows, world, kept._replace(arcs=None))
-    if kept.arcs is not None:
-        near["arcs"] = guides_near(rows, world, kept._replace(lines=None))
+    if kept.guides is not None:
+        near["guides"] = guides_near(rows, world, kept)
     return {k: (watch(model, at, world, v, kept, k), (v.gap < 0) & (v.weight > 0)) for k, v in near.items()}
 
 
@@ -161,7 +159,7 @@ def forgotten():
 def test_a_list_that_was_too_short_is_told(tolerance, monkeypatch, forgotten):
     scene = normalise(pressed())
     assert not capacities(build(scene)).listed, "so few are kept whole"
-    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(4, 0, 0))
+    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(4, 0))
     run = diffeed.simulate(scene, duration=2e-4, dt=1e-5, frames=2, tolerance=tolerance, most_steps=100)
     assert not bool(run.ok)
     assert int(run.failure.cause) == TOO_MANY_NEAR, CAUSES[int(run.failure.cause)]
@@ -203,7 +201,7 @@ def thick_in_a_nip() -> diffeed.Scene:
 def test_a_list_at_a_state_says_whether_it_holds_all_that_touches(count, enough, monkeypatch):
     scene = normalise(thick_in_a_nip())
     model = build(scene)
-    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(count, 0, 0))
+    monkeypatch.setattr(candidates, "capacities", lambda model: Capacities(count, 0))
     assert bool(touching_now(model, initial_state(model, scene))[1]) == enough
 
 

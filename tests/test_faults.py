@@ -361,7 +361,7 @@ def test_crossing_is_what_plain_geometry_says(seed):
         return misplaced(model, initial_state(model, scene)).across
 
     found = np.asarray(jax.jit(jax.vmap(crossed))(diffeed.stack(draws)))
-    names = (*build(draws[0]).lines.names, *build(draws[0]).arcs.names)
+    names = build(draws[0]).guides.names
     expected = np.zeros_like(found)
     for i, scene in enumerate(draws):
         nodes = np.asarray(diffeed.simulate(scene, duration=1e-9, dt=1e-9, frames=2).sheets["strip"].nodes[:1])

@@ -110,7 +110,7 @@ def test_what_a_contact_has_in_all_is_the_same_of_listed_pairs():
     )
     model = build(normalise(scene))
     bodies, features = len(model.body_names), len(model.layout.tail)
-    counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
+    counts = (len(model.circle_names), len(model.guides.names))
     values = np.random.default_rng(1).normal(size=(2, bodies, features))
     due = np.stack([values[:, :, own].sum(axis=2) for own in model.layout.sheet_of_feature.T], axis=2)
     due = due @ model.layout.sheet_of_feature.T

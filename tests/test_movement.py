@@ -60,14 +60,16 @@ def test_every_part_goes_by_its_own_movement(time, fast):
     scene = normalise(machine(**guides, post=CircleGuide(center=(5.0, 60.0), radius=3.0, motion=TWO)))
     model = build(scene)
     world = bodies(model, initial_state(model, scene), jnp.asarray(time), jnp.asarray(time))
-    assert model.lines.names == tuple(lines)
+    assert model.guides.names == (*lines, *arcs)
     starts = [moved(motion, time, start) for motion, start, _ in lines.values()]
     ends = [moved(motion, time, end) for motion, _, end in lines.values()]
-    np.testing.assert_allclose(np.stack([world.lines.x, world.lines.y], axis=1), starts, atol=1e-12)
-    reach = np.stack([world.lines.tx, world.lines.ty], axis=1) * np.asarray(world.lines.length)[:, None]
-    np.testing.assert_allclose(starts + reach, ends, atol=1e-12)
+    at, faces = world.guides, len(lines)
+    middle, half = (np.stack(v, axis=1) for v in ((at.x, at.y), (at.reach * at.tx, at.reach * at.ty)))
+    np.testing.assert_allclose((middle - half)[:faces], starts, atol=1e-12)
+    np.testing.assert_allclose((middle + half)[:faces], ends, atol=1e-12)
     centres = [moved(motion, time, centre) for motion, centre in arcs.values()]
-    np.testing.assert_allclose(np.stack([world.arcs.x, world.arcs.y], axis=1), centres, atol=1e-12)
+    normal = np.stack([-at.ty, at.tx], axis=1) / np.asarray(at.bend.curvature)[:, None].clip(1e-9)
+    np.testing.assert_allclose((middle + normal)[faces:], centres, atol=1e-12)
     names, places = model.circle_names, np.stack([world.circles.x, world.circles.y], axis=1)
     np.testing.assert_allclose(places[names.index("wheel")], moved(FOUR, time, (-50.0, 40.0)), atol=1e-12)
     np.testing.assert_allclose(places[names.index("post")], moved(TWO, time, (5.0, 60.0)), atol=1e-12)
@@ -91,8 +93,8 @@ def test_guides_join_where_they_move_alike(first, second, together):
     left = LineGuide(start=(-20.0, 0.0), end=(0.0, 0.0), motion=first)
     right = LineGuide(start=(0.0, 0.0), end=(20.0, 0.0), motion=second)
     model = build(normalise(machine(left=left, right=right)))
-    assert np.asarray(model.lines.faces.joined[1]).tolist() == [float(together), 0.0]
-    assert np.asarray(model.lines.faces.joined[0]).tolist() == [0.0, float(together)]
+    assert np.asarray(model.guides.faces.joined[1]).tolist() == [float(together), 0.0]
+    assert np.asarray(model.guides.faces.joined[0]).tolist() == [0.0, float(together)]
 
 
 def test_the_program_is_as_long_for_many_movements():

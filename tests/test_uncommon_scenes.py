@@ -77,7 +77,7 @@ def test_only_guides_that_stay_together_are_joined():
         (flush(away, away), 1.0),
         (flush(away, (1.0, 0.0)), 0.0),
     ):
-        faces = build(normalise(scene)).lines.faces
+        faces = build(normalise(scene)).guides.faces
         assert float(faces.joined[1][0]) == float(faces.joined[0][1]) == joined
     run = diffeed.simulate(flush(away), duration=0.05, dt=1e-4, frames=3)
     assert bool(run.ok), run.failure.describe()

@@ -10,7 +10,7 @@ from diffeed.base.records import replace
 from diffeed.chain.state import State
 from diffeed.contact.movement import Carried, carried, moved, shift_at, turned, velocity
 from diffeed.contact.profile import interpolate
-from diffeed.model.arrays import Arcs, Drives, Lines, Model
+from diffeed.model.arrays import Drives, Guides, Model
 from diffeed.pair.shapes import Face
 
 
@@ -24,20 +24,12 @@ class Rigid(NamedTuple):
     w: Array
 
 
-class Guides(NamedTuple):
-    """Motions of line guides and of arc guides."""
-
-    lines: Rigid
-    arcs: Rigid
-
-
 class Bodies(NamedTuple):
     """Everything a sheet can touch, posed."""
 
     circles: Rigid  # (circles,): rollers, circle guides, tips
-    lines: Lines
-    arcs: Arcs
-    guide_motion: Guides | None  # of line and arc guides; None: all still
+    guides: Guides
+    guide_motion: Rigid | None  # None: all still
     spin: Array  # (rollers,) rad/s
 
 
@@ -56,20 +48,15 @@ def bodies(model: Model, state: State, time: Array, drive_time: Array) -> Bodies
     """Pose of every body at `time`; driven shafts turn as prescribed at `drive_time` (the end of an implicit step)."""
     spin = spins(model, state, drive_time)
     circles = _circles_at(model, state, spin)
-    lines, arcs, movements = model.lines, model.arcs, model.movements
+    guides, movements = model.guides, model.movements
     if not movements.parts:
-        return Bodies(circles, lines, arcs, None, spin)
+        return Bodies(circles, guides, None, spin)
     shift = shift_at(movements.path, time)
     circles = _move(circles, carried(shift, _of_circles(model)), ~_turns_freely(model))
     if all(family == "circles" for family, _ in movements.parts):
-        return Bodies(circles, lines, arcs, None, spin)
-    of_lines, of_arcs = (
-        carried(shift, movements.of((family, k) for k in range(len(guides.names))))
-        for family, guides in (("lines", lines), ("arcs", arcs))
-    )
-    lines, line_motion = _move_lines(lines, of_lines)
-    arcs, arc_motion = _move_arcs(arcs, of_arcs)
-    return Bodies(circles, lines, arcs, Guides(line_motion, arc_motion), spin)
+        return Bodies(circles, guides, None, spin)
+    by = carried(shift, movements.of(("guides", k) for k in range(len(guides.names))))
+    return Bodies(circles, *_move_guides(guides, by), spin)
 
 
 def _circles_at(model: Model, state: State, spin: Array) -> Rigid:
@@ -95,7 +82,7 @@ def _of_circles(model: Model) -> np.ndarray:
     """(circles,) which movement carries each along: its own, or that of the guide of which it is a tip; -1: none."""
     tips = model.circles.tip_of
     own = [("circles", k) for k in range(model.circles.x.shape[0] - len(tips))]
-    return model.movements.of([*own, *(tip[:2] for tip in tips)])
+    return model.movements.of([*own, *(("guides", k) for k in tips)])
 
 
 def _turns_freely(model: Model) -> np.ndarray:
@@ -124,12 +111,6 @@ def _move_face(face: Face, by: Carried) -> Face:
     return face._replace(tip_x=(tips[0][0], tips[1][0]), tip_y=(tips[0][1], tips[1][1]))
 
 
-def _move_lines(lines: Lines, by: Carried) -> tuple[Lines, Rigid]:
-    motion, (tx, ty) = _move(_still(lines.x, lines.y), by), turned(by, lines.tx, lines.ty)
-    return replace(lines, x=motion.x, y=motion.y, tx=tx, ty=ty, faces=_move_face(lines.faces, by)), motion
-
-
-def _move_arcs(arcs: Arcs, by: Carried) -> tuple[Arcs, Rigid]:
-    motion, (mid_x, mid_y) = _move(_still(arcs.x, arcs.y), by), turned(by, arcs.mid_x, arcs.mid_y)
-    faces = _move_face(arcs.faces, by)
-    return replace(arcs, x=motion.x, y=motion.y, mid_x=mid_x, mid_y=mid_y, faces=faces), motion
+def _move_guides(guides: Guides, by: Carried) -> tuple[Guides, Rigid]:
+    motion, (tx, ty) = _move(_still(guides.x, guides.y), by), turned(by, guides.tx, guides.ty)
+    return replace(guides, x=motion.x, y=motion.y, tx=tx, ty=ty, faces=_move_face(guides.faces, by)), motion

@@ -36,12 +36,13 @@ SIZE = 100.0
 
 
 SIDES = 2
-"""Guides of a family that a feature may touch at once: a sheet may run between two."""
+"""Guides that a feature may touch at once: a sheet may run between two. Where one goes on in the next it touches more: hence one
+pair more for each guide."""
 MANY_CIRCLES = 32
 """Circles that a few long bars may touch, each with one of them."""
 WORTH = 0.75
 """Of all pairs: a longer list would hardly be worth the gathering (estimated)."""
-FAMILIES = ("circles", "lines", "arcs")
+FAMILIES = ("circles", "guides")
 
 
 PAIRS = 4
@@ -49,11 +50,10 @@ PAIRS = 4
 
 
 class Capacities(NamedTuple):
-    """Pairs listed with circles, lines and arcs, and partners of each movable roller; None: few enough to be kept whole."""
+    """Pairs listed with circles and guides, and partners of each movable roller; None: few enough to be kept whole."""
 
     circles: int | None = None
-    lines: int | None = None
-    arcs: int | None = None
+    guides: int | None = None
     partners: int | None = None
 
     @property
@@ -67,9 +67,9 @@ class Capacities(NamedTuple):
 
 def capacities(model: Model) -> Capacities:
     """Static choice from counts: whether pairs are listed, and how many."""
-    f, counts = model.layout.tail.shape[0], [len(v) for v in (model.circle_names, model.lines.names, model.arcs.names)]
+    f, counts = model.layout.tail.shape[0], [len(v) for v in (model.circle_names, model.guides.names)]
     whole = [f * n for n in counts]
-    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f, SIDES * f)
+    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f + min(counts[1], f))
     few = [min(pair) for pair in zip(whole, most, strict=True)]
     partners = PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None
     return Capacities._make([*few, partners]) if sum(few) < WORTH * sum(whole) else Capacities(partners=partners)
@@ -160,14 +160,9 @@ def _families(model: Model, at: Pose, world: Bodies) -> dict[str, Family]:
     close, size = _close_by(model, world, *nodes(model, at)), capacities(model)
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     rows = features(model, at)
-    near = (
-        lambda: circles_near(rows, world, looked_at),
-        lambda: guides_near(rows, world, looked_at._replace(arcs=None)),
-        lambda: guides_near(rows, world, looked_at._replace(lines=None)),
-    )
     return {
-        family: Family(closest(), looked_at, count, *((None, np.inf) if of is None else of))
-        for family, closest, count, of in zip(FAMILIES, near, size[:3], close, strict=True)
+        family: Family(closest(rows, world, looked_at), looked_at, count, *((None, np.inf) if of is None else of))
+        for family, closest, count, of in zip(FAMILIES, (circles_near, guides_near), size[:2], close, strict=True)
         if count
     }
 
@@ -238,18 +233,16 @@ class Close(NamedTuple):
 
 
 def _close_by(model: Model, world: Bodies, x: Array, y: Array) -> tuple[Close | None, ...]:
-    """By the circles about bodies, and the nodes: for circles, lines and arcs. None: the whole family.
+    """By the circles about bodies, and the nodes: for circles and guides. None: the whole family.
 
     No point of a sheet is further from a node than half a bar, and no point of a curve through the bars than a whole one.
     """
-    lines, arcs, r = world.lines, world.arcs, model.circles.radius
+    guides, r = world.guides, model.circles.radius
     thick = 2.0 * jnp.max(model.bars.half_length) + jnp.max(model.bars.half_thickness)
-    half = 0.5 * lines.length
     circle = jnp.where(model.circles.active > 0, r, -jnp.inf)
     families = (
         (world.circles.x, world.circles.y, circle),
-        (lines.x + half * lines.tx, lines.y + half * lines.ty, half + model.lines.faces.depth),
-        (arcs.x, arcs.y, arcs.radius + model.arcs.faces.depth),
+        (guides.x, guides.y, guides.reach + guides.faces.depth),
     )
     count = AT_LEAST + PER_BAR * model.layout.n_bars
     return tuple(_closest(*f, x, y, thick, count) if f[0].shape[0] > 2 * count else None for f in families)

@@ -10,7 +10,7 @@ from jax import Array
 
 from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
-from diffeed.model.arrays import Arcs, Lines, Model
+from diffeed.model.arrays import Guides, Model
 from diffeed.pair.law import Surface
 
 DEEPEST = 3.0
@@ -24,22 +24,20 @@ DEEP_IN_GUIDES = 0.75
 class Kept(NamedTuple):
     """The pairs that are looked at: every body, (bodies, 1), against every feature, or listed ones, (pairs,) each.
 
-    A list holds pairs with circles, then with lines, then with arcs; an index says which body of the family is in each. An index
-    of None keeps a family whole. Rollers are the first circles; `travel` and `spin` say how a circle moves.
+    A list holds pairs with circles, then with guides; an index says which body of the family is in each. An index of None keeps
+    a family whole. Rollers are the first circles; `travel` and `spin` say how a circle moves.
     """
 
     pairs: Listed | None  # which feature is in each pair; None: every body meets every feature
     own: Own  # of the features, (1, features) or (pairs,)
     circle_index: Array | None
-    line_index: Array | None
-    arc_index: Array | None
+    guide_index: Array | None
     radius: Array
     active: Array
     travel_x: Array  # unit direction of a movable roller's travel, 0 for all other circles
     travel_y: Array
     spin_lever: Array  # radius of a freely turning roller, 0 for all other circles
-    lines: Lines | None  # None: there are none, or they are not looked at
-    arcs: Arcs | None
+    guides: Guides | None  # None: there are none
     surface: Surface
     allowed: Array  # mm that a bar axis may lie inside
     approach: Array  # mm that a sheet may come nearer in one step
@@ -62,9 +60,9 @@ def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
     return tuple(v[:, None] for v in values) if index is None else tuple(jnp.stack(values)[:, index])
 
 
-def kept_family(family: Any, index: Array | None) -> Any:
-    """`pick` for every value of a family of guides."""
-    return jax.tree.map(lambda v: pick(v, index), family)
+def kept_guides(guides: Guides, index: Array | None) -> Guides:
+    """`pick` for every value of guides."""
+    return jax.tree.map(lambda v: pick(v, index), guides)
 
 
 def part(values: Any, pairs: Listed | None, which: slice) -> Any:
@@ -86,7 +84,7 @@ def in_rows(families: list[Any]) -> Any:
 
 def keep_all(model: Model) -> Kept:
     """Every body against every feature."""
-    return keep(model, None, None, None)
+    return keep(model, None, None)
 
 
 def allowed_in_circles(radius: Array) -> Array:
@@ -96,8 +94,7 @@ def allowed_in_circles(radius: Array) -> Array:
 
 def allowed_depths(model: Model) -> Array:
     """(bodies,) mm that a bar axis may lie inside: deeper, the sheet is on its way to the other side."""
-    behind = [DEEP_IN_GUIDES * guides.faces.depth for guides in (model.lines, model.arcs)]
-    return jnp.concatenate([allowed_in_circles(model.circles.radius), *behind])
+    return jnp.concatenate([allowed_in_circles(model.circles.radius), DEEP_IN_GUIDES * model.guides.faces.depth])
 
 
 def allowed_approaches(model: Model) -> Array:
@@ -111,8 +108,7 @@ def allowed_approaches(model: Model) -> Array:
 def keep(
     model: Model,
     circles: Array | None,
-    lines: Array | None,
-    arcs: Array | None,
+    guides: Array | None,
     partners: Array | None = None,
     feature: Array | None = None,
 ) -> Kept:
@@ -121,11 +117,10 @@ def keep(
     rollers, n = model.rollers, len(model.circle_names)
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
-    n_lines, c = len(model.lines.names), n
     pairs = None if feature is None else listed(model, feature)
 
     def surface(values: Array) -> Array:
-        parts = [(values[:c], circles), (values[c : c + n_lines], lines), (values[c + n_lines :], arcs)]
+        parts = [(values[:n], circles), (values[n:], guides)]
         return in_rows([pick(v, index) for v, index in parts if v.shape[0]] or [pick(values, None)])
 
     pair_index, pair_surface = model.pair_index, model.pair_surface
@@ -137,15 +132,13 @@ def keep(
         pairs=pairs,
         own=(own(model) if pairs is None else pairs.own)[-1],
         circle_index=circles,
-        line_index=lines,
-        arc_index=arcs,
+        guide_index=guides,
         radius=pick(model.circles.radius, circles),
         active=pick(model.circles.active, circles),
         travel_x=pick(jnp.concatenate([rollers.dir_x, still]), circles),
         travel_y=pick(jnp.concatenate([rollers.dir_y, still]), circles),
         spin_lever=pick(levers, circles),
-        lines=kept_family(model.lines, lines) if model.lines.names else None,
-        arcs=kept_family(model.arcs, arcs) if model.arcs.names else None,
+        guides=kept_guides(model.guides, guides) if model.guides.names else None,
         surface=jax.tree.map(surface, model.surface),
         allowed=surface(allowed_depths(model)),
         approach=surface(allowed_approaches(model)),
@@ -193,9 +186,8 @@ def by_body(model: Model, kept: Kept, values: Array) -> Array:
 
 def _body_of_pairs(model: Model, kept: Kept) -> Array:
     """(pairs,) which of all bodies is in each."""
-    counts = (len(model.circle_names), len(model.lines.names), len(model.arcs.names))
-    firsts, indices = np.cumsum([0, *counts], dtype=np.int32), (kept.circle_index, kept.line_index, kept.arc_index)
-    return jnp.concatenate([first + i for first, i in zip(firsts[:-1], indices, strict=True) if i is not None])
+    found = ((0, kept.circle_index), (len(model.circle_names), kept.guide_index))
+    return jnp.concatenate([first + index for first, index in found if index is not None])
 
 
 def by_contact(model: Model, kept: Kept, values: Array) -> Array:

@@ -1,7 +1,7 @@
 """Where features and bodies are closest, and how fast the body's surface moves there. Geometry from `diffeed.pair`.
 
-To add a guide shape: give it a point-to-shape function in `pair/shapes.py`, posed arrays in `model` and `bodies.py`, and one more
-entry in `guides_near` and in `keep`; law, sums and solver do not change.
+To add a guide shape: tell `point_face` in `pair/shapes.py` of it, and `model/guides.py` how a record becomes it; law, sums and
+solver do not change.
 """
 
 from typing import NamedTuple
@@ -12,8 +12,8 @@ from jax import Array
 
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.features import Features, Place, blend
-from diffeed.contact.kept import Kept, in_rows, kept_family, part, picked
-from diffeed.pair.shapes import Chain, Near, chain_circle, point_arc, point_line, round_ends
+from diffeed.contact.kept import Kept, in_rows, kept_guides, part, picked
+from diffeed.pair.shapes import Chain, Near, chain_circle, point_face, round_ends
 from diffeed.pair.skin import Pieces, hull_circle, piece_circle, touched
 
 
@@ -36,7 +36,7 @@ def nearest(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
     n = kept.n_circles
     if n:
         families.append(circles_near(part(rows, kept.pairs, slice(n)), world, kept))
-    if kept.lines is not None or kept.arcs is not None:
+    if kept.guides is not None:
         families.append(guides_near(part(rows, kept.pairs, slice(n, None)), world, kept))
     return in_rows(families)
 
@@ -104,27 +104,15 @@ def _places(rows: tuple[Features, ...], u: Array) -> tuple[Place, ...]:
 
 
 def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closest:
-    """End circles, or points of the smooth skin, against line guides and arc guides."""
-    places = _samples(rows)
-    px, py = _points(rows, places)
-    faced, faces, moving = [], [], world.guide_motion
-    n = 0 if kept.lines is None else kept.lines.x.shape[0]
-    if kept.lines is not None:
-        lines = kept.lines if moving is None else kept_family(world.lines, kept.line_index)
-        qx, qy = part((px, py), kept.pairs, slice(n))
-        faced.append(point_line(qx, qy, lines.x, lines.y, lines.tx, lines.ty, lines.length))
-        faces.append(lines.faces)
-    if kept.arcs is not None:
-        arcs = kept.arcs if moving is None else kept_family(world.arcs, kept.arc_index)
-        mid, quarter = (arcs.mid_x, arcs.mid_y), (arcs.cos_quarter, arcs.sin_quarter)
-        qx, qy = part((px, py), kept.pairs, slice(n, None))
-        faced.append(point_arc(qx, qy, arcs.x, arcs.y, arcs.radius, mid, quarter, arcs.side))
-        faces.append(arcs.faces)
-    near, motion = round_ends(px, py, in_rows(faced), in_rows(faces)), None
+    """End circles, or points of the smooth skin, against line and arc guides."""
+    places, guides, moving = _samples(rows), kept.guides, world.guide_motion
+    assert guides is not None, "only where there are some"
     if moving is not None:
-        families = ((kept.lines, moving.lines, kept.line_index), (kept.arcs, moving.arcs, kept.arc_index))
-        motion = in_rows([kept_family(moved, index) for guides, moved, index in families if guides is not None])
-    return _end_circles(rows, places, near, motion)
+        guides = kept_guides(world.guides, kept.guide_index)
+        moving = Rigid(*picked(tuple(moving), kept.guide_index))
+    px, py = _points(rows, places)
+    faced = point_face(px, py, guides.x, guides.y, guides.tx, guides.ty, guides.reach, guides.bend)
+    return _end_circles(rows, places, round_ends(px, py, faced, guides.faces), moving)
 
 
 def felt_points(rows: tuple[Features, ...]) -> tuple[Array, Array]:

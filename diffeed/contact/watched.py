@@ -9,10 +9,10 @@ from jax import Array
 from diffeed.chain.kinematics import Pose, nodes
 from diffeed.contact.bodies import Bodies
 from diffeed.contact.features import features
-from diffeed.contact.kept import Kept, kept_family
+from diffeed.contact.kept import Kept, kept_guides
 from diffeed.contact.near import Closest, felt_points, hulls_near
-from diffeed.model.arrays import Lines, Model
-from diffeed.pair.shapes import JOIN_WINDOW, point_line
+from diffeed.model.arrays import Guides, Model
+from diffeed.pair.shapes import JOIN_WINDOW, point_face
 
 
 class Watched(NamedTuple):
@@ -39,61 +39,57 @@ class Moved(NamedTuple):
 
 def speeds(world: Bodies) -> dict[str, Moved | None]:
     """Of all families, mm/s and rad/s; None: they stand still."""
-    found: dict[str, Moved | None] = {"circles": Moved(world.circles.vx, world.circles.vy, None)}
-    for family in ("lines", "arcs"):
-        motion = None if world.guide_motion is None else getattr(world.guide_motion, family)
-        found[family] = None if motion is None else Moved(motion.vx, motion.vy, motion.w)
-    return found
+    motion = world.guide_motion
+    guides = None if motion is None else Moved(motion.vx, motion.vy, motion.w)
+    return {"circles": Moved(world.circles.vx, world.circles.vy, None), "guides": guides}
 
 
 def ways(then: Bodies, now: Bodies) -> dict[str, Moved | None]:
     """Of all families, mm and rad, from one time to another."""
     circles = Moved(now.circles.x - then.circles.x, now.circles.y - then.circles.y, None)
-    found: dict[str, Moved | None] = {"circles": circles, "lines": None, "arcs": None}
-    if then.guide_motion is not None:
-        a, b, c, d = then.lines, now.lines, then.arcs, now.arcs
-        found["lines"] = Moved(b.x - a.x, b.y - a.y, a.tx * b.ty - a.ty * b.tx)
-        found["arcs"] = Moved(d.x - c.x, d.y - c.y, c.mid_x * d.mid_y - c.mid_y * d.mid_x)
-    return found
+    a, b = then.guides, now.guides
+    still = then.guide_motion is None
+    guides = None if still else Moved(b.x - a.x, b.y - a.y, a.tx * b.ty - a.ty * b.tx)
+    return {"circles": circles, "guides": guides}
 
 
 def watch(model: Model, at: Pose, world: Bodies, near: Closest, kept: Kept, family: str) -> Watched:
     """The pairs of a family with the way that each has before it touches."""
-    index = {"circles": kept.circle_index, "lines": kept.line_index, "arcs": kept.arc_index}[family]
+    index = kept.circle_index if family == "circles" else kept.guide_index
     body = jnp.arange(near.gap.shape[0], dtype=jnp.int32)[:, None] if index is None else index
     if family == "circles":
         smooth = model.skin == "smooth"
         gap, nx, ny = hulls_near(features(model, at), world, kept) if smooth else (near.gap, near.nx, near.ny)
         gap = jnp.where(kept.active > 0, gap, jnp.inf)
         return Watched(gap, nx, ny, jnp.ones(gap.shape, bool), body, None, 0.0)
-    guides, place = (kept.lines, world.lines) if family == "lines" else (kept.arcs, world.arcs)
-    assert guides is not None
+    guides = kept_guides(world.guides, index)
     felt, far, nx, ny = near.weight > 0, near.gap, near.nx, near.ny
     # Behind a thin guide a sheet is felt again as soon as it is within `depth` of the face.
-    gap, straight = far - jnp.where(felt, 0.0, guides.faces.depth), felt
-    if family == "lines":
-        past, out_x, out_y = _past_joined_ends(model, at, kept_family(world.lines, index))
-        better = ~felt & (past > gap)
-        gap, far, nx, ny = (jnp.where(better, *v) for v in ((past, gap), (past, far), (out_x, nx), (out_y, ny)))
-        straight |= better
+    gap = far - jnp.where(felt, 0.0, guides.faces.depth)
+    past, out_x, out_y = _past_joined_ends(model, at, guides)
+    better = ~felt & (past > gap)
+    gap, far, nx, ny = (jnp.where(better, *v) for v in ((past, gap), (past, far), (out_x, nx), (out_y, ny)))
     x, y = nodes(model, at)
-    arm = x[None, :] - nx * far - place.x[body], y[None, :] - ny * far - place.y[body]
+    arm = x[None, :] - nx * far - world.guides.x[body], y[None, :] - ny * far - world.guides.y[body]
     # A way along the inside of an arc of radius R leads outwards by its square over 2 R, twice that from half as far out.
-    bend = 0.0 if kept.arcs is None or family == "lines" else jnp.maximum(kept.arcs.side, 0.0) / kept.arcs.radius
-    return Watched(gap, nx, ny, straight, body, arm, bend)
+    bend = 0.0 if guides.bend is None else jnp.maximum(guides.bend.curvature, 0.0)
+    return Watched(gap, nx, ny, felt | better, body, arm, bend)
 
 
-def _past_joined_ends(model: Model, at: Pose, lines: Lines) -> tuple[Array, Array, Array]:
-    """How far beyond the ends that another guide takes over points of the sheets are, (lines, features), and which way leads
-    out: until they are back at the end a line is not felt, in front of it or behind."""
+def _past_joined_ends(model: Model, at: Pose, guides: Guides) -> tuple[Array, Array, Array]:
+    """How far beyond the ends that another guide takes over points of the sheets are, (guides, features), and which way leads
+    out: until they are back at the end a line is not felt, in front of it or behind. Not of arcs, past whose ends a point may
+    come fast, near the centre."""
     px, py = felt_points(features(model, at))
-    beyond = point_line(px, py, lines.x, lines.y, lines.tx, lines.ty, lines.length).beyond
+    beyond = point_face(px, py, guides.x, guides.y, guides.tx, guides.ty, guides.reach, guides.bend).beyond
     first, second = (
         jnp.where(joined > 0, past - JOIN_WINDOW, -jnp.inf)
-        for past, joined in zip(beyond, lines.faces.joined, strict=True)
+        for past, joined in zip(beyond, guides.faces.joined, strict=True)
     )
-    out = jnp.where(first > second, -1.0, 1.0)
-    return jnp.maximum(first, second), out * lines.tx, out * lines.ty
+    past, out = jnp.maximum(first, second), jnp.where(first > second, -1.0, 1.0)
+    if guides.bend is not None:
+        past = jnp.where(guides.bend.curvature == 0.0, past, -jnp.inf)
+    return past, out * guides.tx, out * guides.ty
 
 
 def approach(model: Model, seen: Watched, moved: tuple[Array, Array], bodies_moved: Moved | None) -> Array:

@@ -1,7 +1,7 @@
 """What a scene is turned into: arrays by component, in kg, mm, s.
 
 Nothing of this is stored in a scene. Bars of all sheets stand in one row, sheet after sheet in sorted order, and so do
-rollers (grouped by kind), circles, lines and arcs: one sweep serves them all, and a missing kind is an empty array.
+rollers (grouped by kind), circles and guides: one sweep serves them all, and a missing kind is an empty array.
 """
 
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ import numpy as np
 from diffeed.base.records import record, word
 from diffeed.model.layout import Layout
 from diffeed.pair.law import Surface
-from diffeed.pair.shapes import Face
+from diffeed.pair.shapes import Bend, Face
 
 
 @record
@@ -88,37 +88,22 @@ class Rollers:
 
 
 @record
-class Lines:
-    """Line guides, (lines,)."""
+class Guides:
+    """Line guides, then arc guides, (guides,): faces that bear on the left of their tangent."""
 
-    x: Any
+    x: Any  # mm, the middle of the face
     y: Any
-    tx: Any
+    tx: Any  # unit tangent there
     ty: Any
-    length: Any
-    faces: Face
-    names: tuple[str, ...] = word(default=(), doc="names", type=tuple)
-
-
-@record
-class Arcs:
-    """Arc guides, (arcs,)."""
-
-    x: Any
-    y: Any
-    radius: Any
-    mid_x: Any
-    mid_y: Any
-    cos_quarter: Any  # of a quarter of the sweep; 0 for a full turn, which has no ends
-    sin_quarter: Any
-    side: Any
+    reach: Any  # mm from there to an end
+    bend: Bend | None  # None: there are no arcs
     faces: Face
     names: tuple[str, ...] = word(default=(), doc="names", type=tuple)
 
 
 @record
 class Circles:
-    """What any place of a sheet can touch: rollers first, then circle guides, then the free tips of lines and arcs; (circles,).
+    """What any place of a sheet can touch: rollers first, then circle guides, then the free tips of other guides; (circles,).
 
     Positions here are those of guides and tips only; a roller's come from the state.
     """
@@ -127,7 +112,7 @@ class Circles:
     y: Any
     radius: Any
     active: Any  # 0 for a tip that is joined to another guide
-    tip_of: tuple[tuple[str, int, int], ...] = word(default=(), doc="(family, index, end) of each tip", type=tuple)
+    tip_of: tuple[int, ...] = word(default=(), doc="guide of each tip", type=tuple)
 
 
 @record
@@ -189,9 +174,8 @@ class Model:
     bars: Bars
     rollers: Rollers
     circles: Circles
-    lines: Lines
-    arcs: Arcs
-    surface: Surface  # of circles, lines and arcs, in that order
+    guides: Guides
+    surface: Surface  # of circles and guides, in that order
     pair_surface: Surface  # roller against roller
     movements: Movements
     holds: tuple[Hold, ...]
@@ -205,19 +189,19 @@ class Model:
     circle_names: tuple[str, ...] = word(default=(), doc="part behind each circle", type=tuple)
     skin: str = word(default="bars", doc="what of the sheets touches: bars or smooth")
     sticks: tuple[bool, bool] = word(
-        default=(False, False), doc="whether any circle, and any line or arc, has friction that sticks", type=tuple
+        default=(False, False), doc="whether any circle, and any guide, has friction that sticks", type=tuple
     )
 
     @property
     def grips(self) -> tuple[int, int]:
-        """Tangential deflections that a state holds: one per circle and sheet, and one per feature on lines and arcs."""
+        """Tangential deflections that a state holds: one per circle and sheet, and one per feature on guides."""
         circles = len(self.circle_names) * len(self.layout.names)
         return circles * self.sticks[0], self.layout.tail.shape[0] * self.sticks[1]
 
     @property
     def body_names(self) -> tuple[str, ...]:
         """Of all bodies, in the order of the contact sweep; a guide's own face and its two tips bear the same name."""
-        return (*self.circle_names, *self.lines.names, *self.arcs.names)
+        return (*self.circle_names, *self.guides.names)
 
     @property
     def has_bodies(self) -> bool:

@@ -2,7 +2,7 @@
 
 from diffeed.input.parts import ArcGuide, CircleGuide, LineGuide, Scene
 from diffeed.model.arrays import Model
-from diffeed.model.guides import circles_of, lines_and_arcs
+from diffeed.model.guides import circles_of, guides_of
 from diffeed.model.layout import Layout
 from diffeed.model.movements import movements_of
 from diffeed.model.rollers import rollers_of
@@ -19,18 +19,16 @@ def build(scene: Scene) -> Model:
     rollers, roller_parts = rollers_of(scene)
     lines, arcs = named(scene.guides, LineGuide), named(scene.guides, ArcGuide)
     circle_guides = named(scene.guides, CircleGuide)
-    movements = movements_of(roller_parts, circle_guides, lines, arcs)
-    line_set, arc_set = lines_and_arcs(lines, arcs, movements)
-    circles, circle_owners = circles_of(rollers, roller_parts, circle_guides, (lines, line_set), (arcs, arc_set))
-    owners = circle_owners + lines + arcs
+    movements = movements_of(roller_parts + circle_guides, lines + arcs)
+    guides = guides_of(lines, arcs, movements)
+    circles, circle_owners = circles_of(rollers, roller_parts, circle_guides, guides, lines + arcs)
     pairs = tuple((i, j) for i in range(rollers.n_movable) for j in range(i + 1, rollers.n))
     return Model(
         bars=bars_of(sheets, layout),
         rollers=rollers,
         circles=circles,
-        lines=line_set,
-        arcs=arc_set,
-        surface=surface_of(scene, owners),
+        guides=guides,
+        surface=surface_of(scene, circle_owners + lines + arcs),
         pair_surface=pair_surface(scene, roller_parts, pairs),
         movements=movements,
         holds=tuple(hold_of(scene, layout, scene.clamps[name]) for name in sorted(scene.clamps)),

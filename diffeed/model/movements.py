@@ -18,9 +18,9 @@ def path_of(motion: Motion) -> Path:
     return _path(motion.times, motion.displacement, motion.rotation, motion.pivot)
 
 
-def movements_of(rollers: list[Any], circles: list[Any], lines: list[Any], arcs: list[Any]) -> Movements:
+def movements_of(circles: list[Any], guides: list[Any]) -> Movements:
     """Those of all parts that move, in one table."""
-    families = {"circles": rollers + circles, "lines": lines, "arcs": arcs}
+    families = {"circles": circles, "guides": guides}
     moving: dict[tuple[str, int], Motion] = {
         (family, k): part.motion
         for family, parts in families.items()

@@ -1,4 +1,4 @@
-"""Geometry of one point or one bar against one circle, line or arc: gap, normal, place. Nothing about forces.
+"""Geometry of one point or one bar against one circle or guide: gap, normal, place. Nothing about forces.
 
 Everything is elementwise in components and broadcasts: bodies along one axis, bars or nodes along the next.
 A normal (nx, ny) points from the body into the sheet, the way in which the sheet is pushed. Gaps count to the bar axis.
@@ -35,7 +35,7 @@ def point_circle(px: Array, py: Array, cx: Array, cy: Array, radius: Array) -> N
 
 
 class Face(NamedTuple):
-    """The straight or round bearing face of guides, posed: arrays (guides, 1)."""
+    """How the bearing face of guides ends, posed: arrays (guides, 1)."""
 
     depth: Array
     tip_radius: Array
@@ -53,42 +53,34 @@ class Faced(NamedTuple):
     beyond: tuple[Array, Array]  # mm that the point lies past the first end and past the second
 
 
-def point_line(px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, length: Array) -> Faced:
-    """A point against a line from (x, y) along (tx, ty) that bears on its left."""
-    dx, dy = px - x, py - y
-    along, height = dx * tx + dy * ty, dy * tx - dx * ty
-    return Faced(height, -ty + 0.0 * along, tx + 0.0 * along, (-along, along - length))
+class Bend(NamedTuple):
+    """What makes arcs of faces; arrays like the guides. A line has 0 and 1."""
+
+    curvature: Array  # 1/mm, > 0 where the face is hollow
+    cos_quarter: Array  # of a quarter of the sweep; 0 for a full turn, which has no ends
 
 
-def point_arc(
-    px: Array,
-    py: Array,
-    cx: Array,
-    cy: Array,
-    radius: Array,
-    mid: tuple[Array, Array],
-    quarter: tuple[Array, Array],
-    side: Array,
+def point_face(
+    px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, reach: Array, bend: Bend | None
 ) -> Faced:
-    """A point against an arc. `mid` is the unit vector to its middle, `quarter` (cos, sin) of a quarter of its sweep,
-    `side` +1 where the sheet runs inside, -1 outside.
+    """A point against faces with the middle (x, y) and there the tangent (tx, ty), that bear on its left; `reach` mm from the
+    middle to an end.
 
-    The end coordinates use tan(angle/2) = cross/(1 + dot): monotone over the full turn, exact to first order at the
-    ends, and free of atan2.
+    With u along the tangent and v across it, the point is (2 v - k (u^2 + v^2))/(1 + rho) above a face of curvature k, where
+    rho = sqrt((k u)^2 + (1 - k v)^2): R minus its distance from the centre of an arc, and v of a line. In the same way
+    2 u/(1 - k v + rho) is u of a line, and of an arc 2 R tan(angle/2): monotone over the full turn, by a factor that is made
+    up for exact to first order at the ends, and free of atan2.
     """
-    distance, ux, uy = polar(px - cx, py - cy)
-    beyond = past_ends_of_arc(ux, uy, radius, mid, quarter)
-    return Faced(side * (radius - distance), -side * ux, -side * uy, beyond)
-
-
-def past_ends_of_arc(
-    ux: Array, uy: Array, radius: Array, mid: tuple[Array, Array], quarter: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """How far (mm) the direction (ux, uy) from an arc's centre lies past its first end and past its second."""
-    half_tangent = divide(mid[0] * uy - mid[1] * ux, 1.0 + mid[0] * ux + mid[1] * uy)
-    cos_q, sin_q = quarter
-    scale = 2.0 * radius * cos_q
-    return scale * (-cos_q * half_tangent - sin_q), scale * (cos_q * half_tangent - sin_q)
+    dx, dy = px - x, py - y
+    u, v = dx * tx + dy * ty, dy * tx - dx * ty
+    if bend is None:
+        return Faced(v, -ty + 0.0 * u, tx + 0.0 * u, (-u - reach, u - reach))
+    k, c = bend.curvature, bend.cos_quarter
+    straight = 1.0 - k * v
+    rho, along, across = polar(-k * u, straight)
+    height = (2.0 * v - k * (u * u + v * v)) / (1.0 + rho)
+    past = c * divide(2.0 * u, straight + rho)
+    return Faced(height, along * tx - across * ty, along * ty + across * tx, (c * (-past - reach), c * (past - reach)))
 
 
 def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:

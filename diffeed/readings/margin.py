@@ -49,7 +49,7 @@ def jam_margins(scene: Scene, trajectory: Trajectory, sheet: str | None = None) 
     name = min(scene.sheets) if sheet is None else sheet
     known_name("sheet", name, scene.sheets)
     model = jax.eval_shape(build, scene)  # names and counts only
-    near = approach(scene, trajectory.states) if model.lines.names or model.arcs.names else None
+    near = approach(scene, trajectory.states) if model.guides.names else None
     found: dict[str, Array] = _parts(scene, trajectory, near, name)
     return {part: found[part] for part in PARTS if part in found}
 
@@ -103,7 +103,7 @@ def _head(scene: Scene, trajectory: Trajectory, near: Approach, name: str) -> di
     feature, first = model.layout.starts[k] + k, len(model.circle_names)
     gap, into, weight = (v[:, first:, feature] for v in near)  # (frames, guides)
     gap = jnp.where(weight > 0, gap, jnp.inf)
-    guides = [scene.guides[n] for n in (*model.lines.names, *model.arcs.names)]
+    guides = [scene.guides[n] for n in model.guides.names]
     slick = np.array([scene.contacts[g.contact].friction_law == "none" for g in guides])
     friction = jnp.where(slick, 0.0, stacked([g.friction for g in guides]))
     holds = 0.5 * jnp.pi - jnp.arctan(friction * scene.sheets[name].friction_factor)

@@ -61,7 +61,7 @@ def gaps_to_bodies(model: Model, pairs: Pairs) -> Array:
 
 def guide_names(model: Model) -> tuple[str, ...]:
     circles = model.circle_names[model.rollers.n : model.rollers.n + model.n_circle_guides]
-    return tuple(sorted((*model.lines.names, *model.arcs.names, *circles)))
+    return tuple(sorted((*model.guides.names, *circles)))
 
 
 def part_names(model: Model) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ def _pair_torque(model: Model, touching: Contacts) -> Array:
 def _guide_of_body(model: Model) -> tuple[np.ndarray, int]:
     """Of each body that is no roller the place in `guide_names`, and how many names there are. A guide's tips are its own."""
     names = guide_names(model)
-    owners = (*model.circle_names[model.rollers.n :], *model.lines.names, *model.arcs.names)
+    owners = (*model.circle_names[model.rollers.n :], *model.guides.names)
     return np.array([names.index(n) for n in owners], dtype=int), len(names)
 
 
@@ -152,7 +152,7 @@ def guide_track(model: Model, state: State, touching: Contacts) -> GuideTrack:
         force, friction = (by_guide(model, v) for v in (felt.force, felt.friction))
         gap = gaps_to_guides(model, gaps_to_bodies(model, touching.sheets))
     shift, turn = jnp.zeros((len(names), 2)), jnp.zeros((len(names),))
-    owners = {"lines": model.lines.names, "arcs": model.arcs.names, "circles": model.circle_names}
+    owners = {"guides": model.guides.names, "circles": model.circle_names}
     moving = {
         names.index(owners[family][k]): m
         for m, (family, k) in enumerate(model.movements.parts)

@@ -81,8 +81,8 @@ def check(
 
 
 def _guides(model: Model, chosen: Array) -> list[str]:
-    """Parts, of (lines + arcs,) bool."""
-    return [f"guides.{name}" for name in np.array([*model.lines.names, *model.arcs.names])[np.asarray(chosen)]]
+    """Parts, of (guides,) bool."""
+    return [f"guides.{name}" for name in np.array(model.guides.names)[np.asarray(chosen)]]
 
 
 class Prepared(NamedTuple):
