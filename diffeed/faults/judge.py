@@ -6,7 +6,7 @@ Nothing here is felt by the run itself: no force, no gradient.
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.sweeps import largest, totals
+from diffeed.base.sweeps import largest
 from diffeed.chain.state import State
 from diffeed.contact.kept import Kept, allowed_in_circles
 from diffeed.contact.roller_pairs import RollerPairs
@@ -46,8 +46,7 @@ def of_step(
     leap = 0.5 * h * change
     cause = jnp.where(tally.deep, TOO_DEEP, jnp.where(tally.unresolved, UNRESOLVED, 0))
     if touching.rollers is not None:
-        (deep,) = totals(_depth_of_rollers(model, touching.rollers) > 1.0)
-        cause = jnp.where(deep, TOO_DEEP, cause)
+        cause = jnp.where(jnp.any(_depth_of_rollers(model, touching.rollers) > 1.0), TOO_DEEP, cause)
     if explicit:
         cause = jnp.where((cause == 0) & turns_about(model, before, touching, kept, h), TURNED_ABOUT, cause)
     if before.x.dtype == jnp.float32:
