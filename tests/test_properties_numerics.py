@@ -95,7 +95,12 @@ def test_search_changes_no_run(method, monkeypatch):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "backed"),
-    [({"nips": 8}, False), ({"nips": 8}, True), ({"nips": 2, "driven": 16}, False), ({"nips": 8, "bars": 110}, False)],
+    [
+        ({"nips": 8}, True),
+        pytest.param({"nips": 8}, False, marks=pytest.mark.slow),
+        pytest.param({"nips": 2, "driven": 16}, False, marks=pytest.mark.slow),
+        pytest.param({"nips": 8, "bars": 110}, False, marks=pytest.mark.slow),
+    ],
 )
 def test_search_among_rollers_changes_no_run(path, backed, monkeypatch):
     """Pinches that lie on their drives, and the first of them opened by the sheet; `backed`: one pressed on by another pinch,
@@ -123,7 +128,7 @@ def test_search_among_rollers_changes_no_run(path, backed, monkeypatch):
         assert all(np.ptp(v) > 0.01 for v in spins.values()), "they must be felt"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_many_pinches_have_one_derivative_in_both_modes_and_in_a_batch():
     """In a batch all take one way: that of rollers which touch each other, if any does."""
     path = normalise(replace(transport(nips=4, bars=6, duration=DURATION), gravity=(0.0, 0.0)))
