@@ -237,3 +237,38 @@ def test_a_run_on_many_short_lines_lists_those_that_bear(lying, monkeypatch, for
     whole = diffeed.simulate(scene, **settings)
     np.testing.assert_allclose(run.final.state.x, whole.final.state.x, atol=1e-9)
     assert float(run.final.state.x[0]) != float(rest.x[0])
+
+
+@pytest.mark.long
+def test_a_fast_sheet_between_short_guides_that_go_on_in_each_other():
+    """A channel of 0.3 mm of lines and flat arcs in turn, 10 mm each, at 1 m/s: at a joint both walls have two near."""
+    radius = 2000.0
+    height, half = np.sqrt(radius**2 - 25.0), np.degrees(np.arcsin(5.0 / radius))
+    guides = {}
+    for k in range(30):
+        a, b = 10.0 * k, 10.0 * (k + 1)
+        ends = {"low": ((a, 0.0), (b, 0.0)), "high": ((b, 0.3), (a, 0.3))}
+        middle = {"low": ((0.5 * (a + b), -height), 90.0), "high": ((0.5 * (a + b), 0.3 + height), 270.0)}
+        for wall in ("low", "high"):
+            centre, angle = middle[wall]
+            guides[f"{wall}_{k}"] = (
+                diffeed.LineGuide(start=ends[wall][0], end=ends[wall][1])
+                if k % 2 == 0
+                else diffeed.ArcGuide(
+                    center=centre, radius=radius, start_angle=angle - half, sweep=2.0 * half, side="outside"
+                )
+            )
+    film = Sheet(
+        length=100.0,
+        thickness=0.1,
+        width=50.0,
+        density=8e-7,
+        youngs_modulus=2000.0,
+        bars=40,
+        lead=(120.0, 0.15),
+        speed=1e3,
+    )
+    scene = diffeed.scene(sheets={"film": film}, guides=guides, initial="given")
+    done = diffeed.simulate(scene, duration=0.05, dt=1e-4, frames=2)
+    assert done.ok, done.failure.describe()
+    assert float(done.sheets["film"].nodes[-1, 0, 0]) == pytest.approx(167.5, abs=1.0)

@@ -37,7 +37,7 @@ SIZE = 100.0
 
 SIDES = 2
 """Guides that a feature may touch at once: a sheet may run between two. Where one goes on in the next it touches more: hence one
-pair more for each guide, up to half as many as there are features."""
+pair more for each guide, up to as many again."""
 MANY_CIRCLES = 32
 """Circles that a few long bars may touch, each with one of them."""
 WORTH = 0.75
@@ -69,7 +69,7 @@ def capacities(model: Model) -> Capacities:
     """Static choice from counts: whether pairs are listed, and how many."""
     f, counts = model.layout.tail.shape[0], [len(v) for v in (model.circle_names, model.guides.names)]
     whole = [f * n for n in counts]
-    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f + min(counts[1], f // 2))
+    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f + min(counts[1], SIDES * f))
     few = [min(pair) for pair in zip(whole, most, strict=True)]
     partners = PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None
     return Capacities._make([*few, partners]) if sum(few) < WORTH * sum(whole) else Capacities(partners=partners)
