@@ -68,8 +68,8 @@ def test_every_part_goes_by_its_own_movement(time, fast):
     np.testing.assert_allclose((middle - half)[:faces], starts, atol=1e-12)
     np.testing.assert_allclose((middle + half)[:faces], ends, atol=1e-12)
     centres = [moved(motion, time, centre) for motion, centre in arcs.values()]
-    normal = np.stack([-at.ty, at.tx], axis=1) / np.asarray(at.bend.curvature)[:, None].clip(1e-9)
-    np.testing.assert_allclose((middle + normal)[faces:], centres, atol=1e-12)
+    inwards = np.stack([-at.ty, at.tx], axis=1)[faces:] / np.asarray(at.bend.curvature)[faces:, None]
+    np.testing.assert_allclose(middle[faces:] + inwards, centres, atol=1e-12)
     names, places = model.circle_names, np.stack([world.circles.x, world.circles.y], axis=1)
     np.testing.assert_allclose(places[names.index("wheel")], moved(FOUR, time, (-50.0, 40.0)), atol=1e-12)
     np.testing.assert_allclose(places[names.index("post")], moved(TWO, time, (5.0, 60.0)), atol=1e-12)

@@ -80,9 +80,9 @@ def _still(x: Array, y: Array) -> Rigid:
 
 def _of_circles(model: Model) -> np.ndarray:
     """(circles,) which movement carries each along: its own, or that of the guide of which it is a tip; -1: none."""
-    tips = model.circles.tip_of
+    tips = [("guides", k) for k in range(len(model.guides.names))] * 2
     own = [("circles", k) for k in range(model.circles.x.shape[0] - len(tips))]
-    return model.movements.of([*own, *(("guides", k) for k in tips)])
+    return model.movements.of(own + tips)
 
 
 def _turns_freely(model: Model) -> np.ndarray:

@@ -9,14 +9,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.smooth import divide
 from diffeed.base.sweeps import totals
 from diffeed.chain.kinematics import Pose, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.kept import DEEP_IN_GUIDES, kept_guides
 from diffeed.model.arrays import Guides, Model
-from diffeed.pair.shapes import Face, point_face
+from diffeed.pair.shapes import Face, point_face, where_met
 
 CLEARLY = 0.2
 """mm below the centre of a guide's rounded end, from where on that end holds a sheet off on the wrong side."""
@@ -74,25 +73,9 @@ def _behind(seen: _Seen, face: Face) -> Array:
 
 def _seen(guides: Guides, x: Array, y: Array) -> _Seen:
     rows = kept_guides(guides, None)
-    own = rows.x, rows.y, rows.tx, rows.ty, rows.reach, rows.bend
-    faced = point_face(x[None, :], y[None, :], *own)
+    faced = point_face(x[None, :], y[None, :], *rows.shape)
     a, b = faced.gap[:, :-1], faced.gap[:, 1:]
     across = (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * rows.faces.depth)
-    share = _where_met(rows, x[None, :], y[None, :])
+    share = where_met(x[None, :], y[None, :], *rows.shape)
     px, py = (v[None, :-1] + share * jnp.diff(v)[None] for v in (x, y))
-    return _Seen(faced.gap, faced.beyond, point_face(px, py, *own).beyond, across)
-
-
-def _where_met(rows: Guides, x: Array, y: Array) -> Array:
-    """Of nodes against faces, (guides, 1): where between neighbours on both sides of a face they meet it, 0 to 1.
-
-    The root of a quadratic: heights do not change evenly along a bar, and a long one that enters an arc meets its circle well
-    before the arc begins.
-    """
-    u, v = (x - rows.x) * rows.tx + (y - rows.y) * rows.ty, (y - rows.y) * rows.tx - (x - rows.x) * rows.ty
-    k = 0.0 if rows.bend is None else rows.bend.curvature
-    above = 2.0 * v - k * (u * u + v * v)  # of the sign of the height
-    start, square = above[:, :-1], -k * (jnp.diff(u) ** 2 + jnp.diff(v) ** 2)
-    slope = jnp.sign(start) * (jnp.diff(above) - square)
-    root = jnp.sqrt(jnp.maximum(slope * slope - 4.0 * square * start, 0.0))
-    return jnp.clip(divide(2.0 * jnp.abs(start), root - slope), 0.0, 1.0)
+    return _Seen(faced.gap, faced.beyond, point_face(px, py, *rows.shape).beyond, across)

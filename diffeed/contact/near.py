@@ -111,7 +111,7 @@ def guides_near(rows: tuple[Features, ...], world: Bodies, kept: Kept) -> Closes
         guides = kept_guides(world.guides, kept.guide_index)
         moving = Rigid(*picked(tuple(moving), kept.guide_index))
     px, py = _points(rows, places)
-    faced = point_face(px, py, guides.x, guides.y, guides.tx, guides.ty, guides.reach, guides.bend)
+    faced = point_face(px, py, *guides.shape)
     return _end_circles(rows, places, round_ends(px, py, faced, guides.faces), moving)
 
 

@@ -81,7 +81,7 @@ def _past_joined_ends(model: Model, at: Pose, guides: Guides) -> tuple[Array, Ar
     out: until they are back at the end a line is not felt, in front of it or behind. Not of arcs, past whose ends a point may
     come fast, near the centre."""
     px, py = felt_points(features(model, at))
-    beyond = point_face(px, py, guides.x, guides.y, guides.tx, guides.ty, guides.reach, guides.bend).beyond
+    beyond = point_face(px, py, *guides.shape).beyond
     first, second = (
         jnp.where(joined > 0, past - JOIN_WINDOW, -jnp.inf)
         for past, joined in zip(beyond, guides.faces.joined, strict=True)

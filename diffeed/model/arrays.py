@@ -100,10 +100,16 @@ class Guides:
     faces: Face
     names: tuple[str, ...] = word(default=(), doc="names", type=tuple)
 
+    @property
+    def shape(self) -> tuple[Any, ...]:
+        """What `point_face` and `where_met` ask for, after the points."""
+        return self.x, self.y, self.tx, self.ty, self.reach, self.bend
+
 
 @record
 class Circles:
-    """What any place of a sheet can touch: rollers first, then circle guides, then the free tips of other guides; (circles,).
+    """What any place of a sheet can touch: rollers first, then circle guides, then the tips of other guides, all their first ones
+    and all their second ones; (circles,).
 
     Positions here are those of guides and tips only; a roller's come from the state.
     """
@@ -112,7 +118,6 @@ class Circles:
     y: Any
     radius: Any
     active: Any  # 0 for a tip that is joined to another guide
-    tip_of: tuple[int, ...] = word(default=(), doc="guide of each tip", type=tuple)
 
 
 @record

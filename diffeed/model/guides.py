@@ -108,6 +108,5 @@ def circles_of(
         y=jnp.concatenate([zeros, y, *[faces.tip_y[e] for e in ends]]),
         radius=jnp.concatenate(radii),
         active=jnp.concatenate(there),
-        tip_of=tuple(range(len(parts))) * 2,
     )
     return circles, rollers + circle_guides + parts * 2

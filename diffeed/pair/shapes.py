@@ -71,8 +71,7 @@ def point_face(
     2 u/(1 - k v + rho) is u of a line, and of an arc 2 R tan(angle/2): monotone over the full turn, by a factor that is made
     up for exact to first order at the ends, and free of atan2.
     """
-    dx, dy = px - x, py - y
-    u, v = dx * tx + dy * ty, dy * tx - dx * ty
+    u, v = _along_and_across(px - x, py - y, tx, ty)
     if bend is None:
         return Faced(v, -ty + 0.0 * u, tx + 0.0 * u, (-u - reach, u - reach))
     k, c = bend.curvature, bend.cos_quarter
@@ -81,6 +80,27 @@ def point_face(
     height = (2.0 * v - k * (u * u + v * v)) / (1.0 + rho)
     past = c * divide(2.0 * u, straight + rho)
     return Faced(height, along * tx - across * ty, along * ty + across * tx, (c * (-past - reach), c * (past - reach)))
+
+
+def where_met(px: Array, py: Array, x: Array, y: Array, tx: Array, ty: Array, reach: Array, bend: Bend | None) -> Array:
+    """Where between neighbouring points on both sides of a face, (guides, points), they meet its line or circle, 0 to 1; (guides,
+    points - 1). No derivatives.
+
+    The root of a quadratic: heights do not change evenly along a bar, and a long one that enters an arc meets its circle well
+    before the arc begins.
+    """
+    u, v = _along_and_across(px - x, py - y, tx, ty)
+    k = 0.0 if bend is None else bend.curvature
+    above = 2.0 * v - k * (u * u + v * v)  # of the sign of the height
+    start, square = above[:, :-1], -k * (jnp.diff(u) ** 2 + jnp.diff(v) ** 2)
+    slope = jnp.sign(start) * (jnp.diff(above) - square)
+    root = jnp.sqrt(jnp.maximum(slope * slope - 4.0 * square * start, 0.0))
+    return jnp.clip(divide(2.0 * jnp.abs(start), root - slope), 0.0, 1.0)
+
+
+def _along_and_across(dx: Array, dy: Array, tx: Array, ty: Array) -> tuple[Array, Array]:
+    """Components along a tangent and to its left."""
+    return dx * tx + dy * ty, dy * tx - dx * ty
 
 
 def round_ends(px: Array, py: Array, faced: Faced, face: Face) -> Near:
