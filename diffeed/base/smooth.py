@@ -3,6 +3,9 @@
 Algebraic forms (square roots, polynomials) wherever a step needs them: cheaper than exp and tanh, and no overflow in float32.
 """
 
+import functools
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,31 +102,42 @@ def _polar_jvp(
     return (length, ux, uy), (along, -uy * turn, ux * turn)
 
 
-@jax.custom_jvp
 def solve_positive(matrix: Array, sides: Array) -> Array:
-    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix, of which the lower triangle is read.
+    """Solve matrix x = sides, (n, n) and (n, k), for a symmetric positive matrix, of which the lower triangle is read."""
+    k = sides.shape[1]
+    below = jnp.concatenate([sides.T, beside_sides(k, matrix.dtype)], axis=1)
+    return solve_bordered(jnp.concatenate([jnp.pad(matrix, ((0, 0), (0, k))), below]), k)
+
+
+def beside_sides(k: int, dtype: Any) -> Array:
+    """(k, k): what stands beside the sides, as last rows of a bordered matrix."""
+    return jnp.asarray(0.25 * jnp.finfo(dtype).max * np.eye(k), dtype)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def solve_bordered(whole: Array, k: int) -> Array:
+    """The same of a lower triangle whose last k rows are the sides, and `beside_sides`: (n + k, n + k) -> (n, k).
 
     Differentiated as a solution (one more solve with the same factor), not through the factorisation.
     """
-    return _factored(matrix, sides)[1]
+    return _factored(whole, k)[1]
 
 
-def _factored(matrix: Array, sides: Array) -> tuple[Array, Array]:
-    """The lower factor, and the solution. The sides go along as last rows below the matrix: factored with it they are solved
-    half way, which saves a call in every step. What they have on the diagonal is larger than anything taken from it."""
-    n, k = sides.shape
-    large = 0.25 * jnp.finfo(matrix.dtype).max * np.eye(k)
-    below = jnp.concatenate([sides.T, jnp.asarray(large, matrix.dtype)], axis=1)
-    whole = jnp.concatenate([jnp.pad(matrix, ((0, 0), (0, k))), below])
+def _factored(whole: Array, k: int) -> tuple[Array, Array]:
+    """The lower factor of all of it, and the solution. Factored along with the matrix the sides are solved half way, which saves
+    a call in every step: what stands beside them is larger than anything taken from it. Its factor is then the right-hand side
+    for which the transposed factor answers with minus one there, and above with the solution: nothing needs to be cut out."""
+    n = whole.shape[0] - k
     root = lax.linalg.cholesky(whole, symmetrize_input=False)
-    root, half = root[:n, :n], root[n:, :n].T
-    return root, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
+    right = jnp.pad(-root[n:, n:].T, ((n, 0), (0, 0)))
+    return root, lax.linalg.triangular_solve(root, right, left_side=True, lower=True, transpose_a=True)[:n]
 
 
-@solve_positive.defjvp
-def _solve_positive_jvp(given: tuple[Array, Array], moved: tuple[Array, Array]) -> tuple[Array, Array]:
-    root, x = _factored(*given)
-    change, more = moved
+@solve_bordered.defjvp
+def _solve_bordered_jvp(k: int, given: tuple[Array], moved: tuple[Array]) -> tuple[Array, Array]:
+    n, (change,) = given[0].shape[0] - k, moved
+    root, x = _factored(given[0], k)
+    root, change, more = root[:n, :n], change[:n, :n], change[n:, :n].T
     right = more - product(jnp.tril(change) + jnp.tril(change, -1).T, x)
     half = lax.linalg.triangular_solve(root, right, left_side=True, lower=True)
     return x, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)

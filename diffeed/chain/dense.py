@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from diffeed.base.once import computed_once
 from diffeed.base.products import product
-from diffeed.base.smooth import solve_positive
+from diffeed.base.smooth import beside_sides, solve_bordered, solve_positive
 from diffeed.chain.sums import apply, before, membership
 from diffeed.chain.system import Answer, Border, System
 from diffeed.model.layout import Layout
@@ -38,9 +38,9 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
         return _lower(system, layout, (lx, ly), (halves[:3], totals[:3]), below)
 
     def whole() -> Array:
-        matrix = jnp.zeros((0, 0), sides.dtype) if beside is None else beside.matrix()
-        below = jnp.concatenate([gathered[k:], matrix], axis=1)
-        return solve_positive(lower(below), jnp.concatenate(right, axis=1).T).T
+        rollers = jnp.zeros((0, 0), sides.dtype) if beside is None else beside.matrix()
+        below = [[gathered[k:], jnp.pad(rollers, ((0, 0), (0, k)))], [*right, beside_sides(k, sides.dtype)]]
+        return solve_bordered(lower(jnp.concatenate([jnp.concatenate(row, axis=1) for row in below])), k).T
 
     def each() -> Array:
         assert beside is not None
@@ -108,26 +108,25 @@ def _lower(
     one, zero = jnp.ones((n_sheets,), lx.dtype), jnp.zeros((n_sheets,), lx.dtype)
     moved = jnp.stack([jnp.concatenate([one, zero, lx]), jnp.concatenate([zero, one, ly])])
     asked = jnp.stack([jnp.concatenate([txx, txy, vx]), jnp.concatenate([txy, tyy, vy])])
-    beyond = ((0, 0), (0, more))
-    (mx, my), (ax, ay) = computed_once((jnp.pad(moved, beyond), jnp.pad(asked, beyond)))
+    (mx, my), (ax, ay) = computed_once((moved, asked))
     crossed = mx[:, None] * ax[None, :] + my[:, None] * ay[None, :]
     # The bar itself: a quarter of its own block instead of the half that is behind.
     own = b.ww + lx * (vx - 0.25 * (b.xx * lx + b.xy * ly)) + ly * (vy - 0.25 * (b.xy * lx + b.yy * ly))
-    behind, diagonal, joint = _tables(layout, more)
+    behind, diagonal, joint = _tables(layout)
     upper = jnp.asarray(behind.T, lx.dtype) * crossed
     upper = upper + jnp.diag(apply(jnp.concatenate([own, system.coupling]), diagonal))
-    upper = upper - jnp.asarray(joint.T, lx.dtype) * jnp.pad(system.coupling, (2 * n_sheets, more))[:, None]
-    return (upper + jnp.pad(below.T, ((0, 0), (upper.shape[0] - more, 0)))).T
+    upper = upper - jnp.asarray(joint.T, lx.dtype) * jnp.pad(system.coupling, (2 * n_sheets, 0))[:, None]
+    return jnp.concatenate([jnp.pad(upper, ((0, more), (0, 0))), below.T], axis=1).T
 
 
-def _tables(layout: Layout, more: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _tables(layout: Layout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which row is behind which column; where own terms and joints stand on the diagonal; which row is a joint behind which
     column."""
     n, leads = layout.n_bars, 2 * len(layout.bars)
     sheet = np.concatenate([np.tile(np.arange(leads // 2), 2), layout.sheet_of_bar])
     behind = np.tril(sheet[:, None] == sheet[None, :])
     behind[range(leads, leads + n), range(leads, leads + n)] = False
-    own = np.eye(n, leads + n + more, leads)
-    joint = np.eye(leads + n + more, k=-1)
-    joint[:, [*range(leads), *range(leads + n - 1, leads + n + more)]] = 0.0
-    return np.pad(behind, (0, more)), np.concatenate([own, own + own @ joint.T]), joint
+    own = np.eye(n, leads + n, leads)
+    joint = np.eye(leads + n, k=-1)
+    joint[:, [*range(leads), leads + n - 1]] = 0.0
+    return behind, np.concatenate([own, own + own @ joint.T]), joint

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.once import computed_once
 from diffeed.chain.state import State, spread
 from diffeed.chain.sums import from_mean
 from diffeed.model.arrays import Model
@@ -25,7 +26,8 @@ class Pose(NamedTuple):
 
 def pose(model: Model, state: State) -> Pose:
     """Place every bar so that the joints are closed and the mass centre is where the state says."""
-    c, s = jnp.cos(state.heading), jnp.sin(state.heading)
+    # Left to itself the compiler computes both again in every loop that reads them: a tenth of a step.
+    c, s = computed_once((jnp.cos(state.heading), jnp.sin(state.heading)))
     bar = 2.0 * model.bars.half_length
     turn = bar * state.rate
     dx, dy, du, dv = from_mean(model.layout, jnp.stack([-bar * c, -bar * s, turn * s, -turn * c]))
@@ -56,14 +58,6 @@ def pieces_to_bars(layout: Layout, in_front: Array, behind: Array) -> Array:
     for k, s in enumerate(layout.slices()):
         a, b = s.start + k, s.stop + k
         pieces.append(behind[..., a:b] + in_front[..., a + 1 : b + 1])
-    return jnp.concatenate(pieces, axis=-1)
-
-
-def to_nodes_behind(layout: Layout, values: Array) -> Array:
-    """(..., bars) -> (..., nodes): each bar's value to the node behind it, the first bar's to the lead as well."""
-    pieces = []
-    for s in layout.slices():
-        pieces += [values[..., s.start : s.start + 1], values[..., s]]
     return jnp.concatenate(pieces, axis=-1)
 
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from diffeed.chain.kinematics import Pose, from_nodes, pieces_to_bars, to_nodes, to_nodes_behind
+from diffeed.chain.kinematics import Pose, from_nodes, pieces_to_bars
 from diffeed.model.arrays import Model
 
 
@@ -46,9 +47,11 @@ class Features(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """Pairs one after the other instead of every body against every feature: which feature each is of, and what that has."""
+    """Pairs one after the other instead of every body against every feature: which feature each is of, which bars that hangs
+    on, and what it has."""
 
     feature: Array  # (pairs,)
+    bars: tuple[Array, ...]  # (pairs,) each: its own, or the one in front of it and the one behind it
     own: tuple[Own, ...]
 
 
@@ -57,13 +60,20 @@ def own(model: Model) -> tuple[Own, ...]:
     bars, layout = model.bars, model.layout
     end = jnp.asarray(1.0 - 2.0 * layout.tail, bars.half_length.dtype)[None, :]
     place = [jnp.asarray(v)[None, :] for v in (layout.first_feature, layout.last_feature, layout.tail)]
-    rows = laid_out(model, (bars.half_length, bars.half_thickness, bars.friction_factor))
+    rows = laid_out(model, jnp.stack([bars.half_length, bars.half_thickness, bars.friction_factor]))
     return tuple(Own._make([*row, end, *place]) for row in rows)
 
 
 def listed(model: Model, feature: Array) -> Listed:
     """Pairs of the given features."""
-    return Listed(feature, jax.tree.map(lambda v: v[0, feature], own(model)))
+    bars = tuple(jnp.asarray(of_feature)[feature] for of_feature in _bars_of_features(model))
+    return Listed(feature, bars, jax.tree.map(lambda v: v[0, feature], own(model)))
+
+
+def _bars_of_features(model: Model) -> list[np.ndarray]:
+    """(features,) for every bar that a feature hangs on: which one that is."""
+    layout = model.layout
+    return [layout.bar_of_feature] if model.skin == "bars" else [layout.bar_before_feature, layout.bar_of_feature]
 
 
 def features(model: Model, at: Pose, pairs: Listed | None = None) -> tuple[Features, ...]:
@@ -71,22 +81,28 @@ def features(model: Model, at: Pose, pairs: Listed | None = None) -> tuple[Featu
 
     All of them, (1, features), or those of listed pairs, (pairs,).
     """
-    beside = [jnp.roll(v, k) for k in (1, -1) for v in (at.c, at.s)] if model.skin == "bars" else []
-    rows = laid_out(model, (*at, *beside), pairs)
+    rows = laid_out(model, _with_neighbours(at) if model.skin == "bars" else jnp.stack(at), pairs)
     return tuple(
         Features._make([*row[:7], tuple(row[7:9]), tuple(row[9:11]), one])
         for row, one in zip(rows, own(model) if pairs is None else pairs.own, strict=True)
     )
 
 
-def laid_out(model: Model, values: Sequence[Array], pairs: Listed | None = None) -> list[list[Array]]:
-    """Values of bars, (bars,) each -> (1, features), or (pairs,), each: for every bar that a feature hangs on."""
-    rows = [[to_nodes(model.layout, v, v) for v in values]]
-    if model.skin == "smooth":
-        rows.insert(0, [to_nodes_behind(model.layout, v) for v in values])
-    if pairs is None:
-        return [[v[None, :] for v in row] for row in rows]
-    return [list(jnp.stack(row)[:, pairs.feature]) for row in rows]
+def _with_neighbours(at: Pose) -> Array:
+    """(11, bars): of every bar the pose, and the axes of the bar in front of it and of the one behind it in the row.
+
+    Joined once: rows that are joined one by one, and then stacked, are a call of the compiled program each.
+    """
+    c, s = at.c, at.s
+    ahead, behind = (c[-1:], c[:-1], s[-1:], s[:-1]), (c[1:], c[:1], s[1:], s[:1])
+    return jnp.concatenate([*at, *ahead, *behind]).reshape(-1, c.shape[0])
+
+
+def laid_out(model: Model, values: Array, pairs: Listed | None = None) -> list[list[Array]]:
+    """Values of bars, (k, bars) -> k of (1, features), or (pairs,): for every bar that a feature hangs on."""
+    if pairs is not None:
+        return [list(values[:, bar]) for bar in pairs.bars]
+    return [[v[None, :] for v in values[:, bar]] for bar in _bars_of_features(model)]
 
 
 def by_feature(model: Model, values: Sequence[Array], pairs: Listed | None) -> Array:

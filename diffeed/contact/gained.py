@@ -12,7 +12,7 @@ from diffeed.model.arrays import Model
 
 def apart(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
     """Of each pair, mm/s2: what is added to v_n."""
-    rows = zip(laid_out(model, (a.x, a.y, a.w), kept.pairs), pairs.levers, strict=True)
+    rows = zip(laid_out(model, jnp.stack([a.x, a.y, a.w]), kept.pairs), pairs.levers, strict=True)
     gained = blend(pairs.levers, [pairs.nx * x + pairs.ny * y + lever.rn * w for (x, y, w), lever in rows])
     if not (model.n_border and kept.n_circles):
         return gained
@@ -22,7 +22,7 @@ def apart(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
 
 def along(model: Model, pairs: Pairs, a: Solution, kept: Kept) -> Array:
     """Of each pair, mm/s2: what is added to v_t."""
-    rows = zip(laid_out(model, (a.x, a.y, a.w), kept.pairs), pairs.levers, strict=True)
+    rows = zip(laid_out(model, jnp.stack([a.x, a.y, a.w]), kept.pairs), pairs.levers, strict=True)
     gained = blend(pairs.levers, [pairs.nx * y - pairs.ny * x + lever.rt * w for (x, y, w), lever in rows])
     if not (model.n_border and kept.n_circles):
         return gained

@@ -36,7 +36,7 @@ def hits(model: Model, pairs: Pairs, kept: Kept, which: Array) -> Hits:
 
 def _of_nodes(model: Model, kept: Kept) -> Array:
     """kg, of the node at each pair's feature: of the bars beside it a half each."""
-    mass = laid_out(model, (model.bars.mass,), kept.pairs)[-1][0]
+    mass = laid_out(model, model.bars.mass[None], kept.pairs)[-1][0]
     return jnp.where(kept.own.first | kept.own.tail, 0.5, 1.0) * mass
 
 

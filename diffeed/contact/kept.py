@@ -161,10 +161,14 @@ def by_circle(
     place[kinds, which] = np.arange(len(which))
     at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
     feature = jnp.tile(kept.pairs.feature[: kept.n_circles], n_kinds)
-    whole = jnp.stack(rows, axis=-1)  # as in `by_feature`
-    found = jnp.zeros((len(which) + 1, model.layout.tail.shape[0], len(values)), whole.dtype)
-    found = found.at[at, feature].add(whole, mode="promise_in_bounds")
-    return jnp.moveaxis(found[:-1], -1, 0)
+    # One value after the other, for of values side by side, as in `by_feature`, each would be computed in every place.
+    n_features, places = model.layout.tail.shape[0], len(which) + 1
+    start = places * np.arange(len(values), dtype=np.int32)[:, None]
+    found = jnp.zeros((len(values) * places * n_features,), rows[0].dtype)
+    found = found.at[((start + at[None]) * n_features + feature[None]).ravel()].add(
+        jnp.concatenate(rows), mode="promise_in_bounds"
+    )
+    return found.reshape(len(values), places, n_features)[:, :-1]
 
 
 def by_roller(model: Model, kept: Kept, values: Array) -> Array:

@@ -59,6 +59,16 @@ class Layout:
         """(features,) bool: the feature is the last bar of its sheet."""
         return np.concatenate([np.arange(n + 1) == n - 1 for n in self.bars])
 
+    @cached_property
+    def bar_of_feature(self) -> np.ndarray:
+        """(features,) the bar that starts at the feature's node; at a tail the last one."""
+        return np.arange(self.tail.shape[0]) - self.owner_of_feature - self.tail
+
+    @cached_property
+    def bar_before_feature(self) -> np.ndarray:
+        """(features,) the bar that ends at the feature's node; at a lead the first one."""
+        return np.arange(self.tail.shape[0]) - self.owner_of_feature - ~self.first_feature
+
     def slices(self) -> list[slice]:
         return [slice(a, b) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
 
