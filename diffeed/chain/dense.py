@@ -94,8 +94,8 @@ def _totals(layout: Layout, values: Array) -> tuple[Array, Array]:
 def _lower(
     system: System, layout: Layout, lever: tuple[Array, Array], blocks: tuple[Array, Array], below: Array
 ) -> Array:
-    """Lower triangle of the matrix, whose last rows are `below`; `blocks` are sums of xx, xy, yy over the bars behind each
-    and over sheets. A lead is a bar that all others of its sheet are behind.
+    """Lower triangle of the matrix, whose last rows are `below`: rollers, and sides that are solved along. `blocks` are sums of
+    xx, xy, yy over the bars behind each and over sheets. A lead is a bar that all others of its sheet are behind.
 
     Made by products, a diagonal and few sums, for whatever is cheap to compute the compiler computes again for every
     entry of the matrix: so what the diagonal needs goes through a product too, and what each row and column is made of is

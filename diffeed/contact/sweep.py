@@ -1,7 +1,7 @@
 """Contact sweep: what the law says of the pairs that are near.
 
-Bodies stand along one axis (rollers, circle guides, tips, then line guides, then arc guides), features of the sheets
-along the next: (bodies, features). Or pairs stand one after the other, (pairs,): of circles, of line guides, of arc guides.
+Bodies stand along one axis (rollers, circle guides, tips, then line and arc guides), features of the sheets along the next:
+(bodies, features). Or pairs stand one after the other, (pairs,): of circles, then of guides.
 """
 
 from typing import NamedTuple
