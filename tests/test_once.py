@@ -59,7 +59,7 @@ def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function,
 
 @pytest.mark.long
 def test_the_axes_of_bars_are_found_once(monkeypatch):
-    """A cosine is as dear as ten products: 11 in the program, 32 where each loop that reads one takes its own (JAX 0.10)."""
+    """Cosines in the program: 11, and 32 where each loop that reads one takes its own (JAX 0.10)."""
     with_it = operations(at_the_end, nip(), kind=" cosine(")
     monkeypatch.setattr(kinematics, "computed_once", lambda values: values)
     without = operations(at_the_end, nip(), kind=" cosine(")

@@ -116,7 +116,8 @@ def beside_sides(k: int, dtype: Any) -> Array:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def solve_bordered(whole: Array, k: int) -> Array:
-    """The same of a lower triangle whose last k rows are the sides, and `beside_sides`: (n + k, n + k) -> (n, k).
+    """The same of a lower triangle whose last k rows are the sides, and `beside_sides`: (n + k, n + k) -> (n, k). For who builds
+    the matrix anyway: joining the sides to it afterwards would copy all of it.
 
     Differentiated as a solution (one more solve with the same factor), not through the factorisation.
     """

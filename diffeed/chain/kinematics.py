@@ -26,7 +26,7 @@ class Pose(NamedTuple):
 
 def pose(model: Model, state: State) -> Pose:
     """Place every bar so that the joints are closed and the mass centre is where the state says."""
-    # Left to itself the compiler computes both again in every loop that reads them: a tenth of a step.
+    # Left to itself the compiler computes both again in every loop that reads them (`tests/test_once.py` counts).
     c, s = computed_once((jnp.cos(state.heading), jnp.sin(state.heading)))
     bar = 2.0 * model.bars.half_length
     turn = bar * state.rate

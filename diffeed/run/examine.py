@@ -10,7 +10,6 @@ from jax.flatten_util import ravel_pytree
 
 from diffeed.base.limits import run_problem, scene_size
 from diffeed.base.records import replace
-from diffeed.chain.kinematics import to_nodes
 from diffeed.chain.state import State, initial_state
 from diffeed.contact.crossing import Misplaced, misplaced
 from diffeed.contact.kept import allowed_depths, keep_all
@@ -147,7 +146,7 @@ def _deep(model: Model, gap: Array, verb: str, allowed: float | np.ndarray) -> l
     if not gap.size:
         return []
     layout, half = model.layout, model.bars.half_thickness
-    halves, found = np.asarray(to_nodes(layout, half, half)), []
+    halves, found = np.asarray(half)[layout.bar_of_feature], []
     deepest = np.broadcast_to(allowed, (len(model.body_names),))
     for index, (name, row) in enumerate(zip(model.body_names, np.asarray(gap), strict=True)):
         part = f"{'rollers' if index < model.rollers.n else 'guides'}.{name}"
