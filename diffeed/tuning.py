@@ -19,9 +19,8 @@ found without unrolling."""
 BATCHED = NO_UNROLLING
 """Takes longer to compile than `QUICK`, to batches that run faster: for hundreds of long runs."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
-"""One loop makes several results. With jaxlib 0.12 batches and gradients of the film feeder take nine tenths of the time, single
-runs as long; with 0.10 none of them less. Not for every scene: up to jaxlib 0.10 the compiler goes on with some (those of
-`runge_kutta` among them) until the memory is full."""
+"""One loop makes several results: with jaxlib 0.12 batches and gradients gain by it, with 0.10 nothing that was measured. Not for
+every scene: up to jaxlib 0.10 the compiler goes on with some (those of `runge_kutta` among them) until the memory is full."""
 PLAIN: Flags = (("xla_backend_optimization_level", "0"),)
 """Compiles in half the time to code that takes twice as long, or three times: for programs that run a few times only."""
 
