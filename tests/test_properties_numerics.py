@@ -196,7 +196,7 @@ def test_search_among_the_bodies_close_by_changes_no_run(monkeypatch):
 
 
 def _run_with_every_pair(scene: Scene, method: str, monkeypatch):
-    monkeypatch.setattr(candidates, "capacities", lambda model: candidates.Capacities())
+    monkeypatch.setattr(candidates, "capacities", lambda *_: candidates.Capacities())
     counts = plan(DURATION, DT, 3)
     return jax.jit(lambda s: _simulate.__wrapped__(s, DURATION / counts.total, None, counts, method, ()))(scene)
 

@@ -35,11 +35,10 @@ SIZE = 100.0
 """mm from its pivot to the far end of a swinging guide; larger ones are caught by the margin."""
 
 
-SIDES = 2
-"""Guides that a feature may touch at once: a sheet may run between two. Where one goes on in the next it touches more: hence one
-pair more for each guide, up to as many again."""
 MANY_CIRCLES = 32
 """Circles that a few long bars may touch, each with one of them."""
+SMALL = 24
+"""Pairs of a family that are listed even where one wall would need fewer: as few as that save nothing."""
 WORTH = 0.75
 """Of all pairs: a longer list would hardly be worth the gathering (estimated)."""
 FAMILIES = ("circles", "guides")
@@ -65,14 +64,30 @@ class Capacities(NamedTuple):
         return self.listed or self.partners is not None
 
 
-def capacities(model: Model) -> Capacities:
-    """Static choice from counts: whether pairs are listed, and how many."""
-    f, counts = model.layout.tail.shape[0], [len(v) for v in (model.circle_names, model.guides.names)]
-    whole = [f * n for n in counts]
-    most = (f + min(counts[0], max(SIDES * f, MANY_CIRCLES)), SIDES * f + min(counts[1], SIDES * f))
+def capacities(model: Model, brief: bool = False) -> Capacities:
+    """Static choice from counts: whether pairs are listed, and how many; `brief`: no more than most scenes need, unless the scene
+    says that it is crowded."""
+    f, (circles, guides) = model.layout.tail.shape[0], (len(v) for v in (model.circle_names, model.guides.names))
+    whole, most = (f * circles, f * guides), _both_walls(f, circles, guides)
+    if brief and not model.crowded:
+        most = tuple(min(pair) for pair in zip(most, _one_wall(f, circles, guides), strict=True))
     few = [min(pair) for pair in zip(whole, most, strict=True)]
     partners = PAIRS if len(model.pairs) > 2 * PAIRS * model.rollers.n_movable else None
     return Capacities._make([*few, partners]) if sum(few) < WORTH * sum(whole) else Capacities(partners=partners)
+
+
+def _one_wall(features: int, circles: int, guides: int) -> tuple[int, int]:
+    """Room for one circle and one guide for each feature, and for what nips and guides that go on in each other have beyond. The
+    shipped scenes need up to 1.3 circles and 1.0 guides for each, bent channels of 0.6 mm at 1 m/s 1.2, of 20 mm pieces 1.7."""
+    on_circles = max(features + min(circles, features) // 4, min(circles, MANY_CIRCLES))
+    on_guides = features + max(features // 4, min(guides, 2 * features))
+    return max(on_circles, SMALL), max(on_guides, SMALL)
+
+
+def _both_walls(features: int, circles: int, guides: int) -> tuple[int, int]:
+    """Room for both walls of a channel for each feature."""
+    on_circles = features + min(circles, max(2 * features, MANY_CIRCLES))
+    return on_circles, 2 * features + min(guides, 2 * features)
 
 
 AT_LEAST, PER_BAR = 32, 2
@@ -100,21 +115,23 @@ class Candidates(NamedTuple):
         return self.lasts >= 1.0
 
 
-def search(model: Model, state: State, span: Array) -> Candidates:
-    """Candidates for the next `span` seconds. What is kept has derivatives, how it was chosen has none."""
-    index, measured = _choose(lax.stop_gradient(model), lax.stop_gradient(state), span)
+def search(model: Model, state: State, span: Array, brief: bool = False) -> Candidates:
+    """Candidates for the next `span` seconds, in lists as long as `capacities` says. What is kept has derivatives, how it was
+    chosen has none."""
+    index, measured = _choose(lax.stop_gradient(model), lax.stop_gradient(state), span, capacities(model, brief))
     return Candidates(keep_all(model) if index is None else keep(model, **index), *measured)
 
 
 def touching_now(model: Model, state: State) -> tuple[Kept, Array]:
     """The pairs that touch at a state, and few others; and whether all that touch are listed (bool). Derivatives as `search`."""
-    if not model.has_bodies or not capacities(model).listed:
+    size = capacities(model)
+    if not model.has_bodies or not size.listed:
         return keep_all(model), jnp.ones((), bool)
     alike, there = lax.stop_gradient(model), lax.stop_gradient(state)
     at, world = pose(alike, there), bodies(alike, there, there.time, there.time)
     found: dict[str, tuple[Array, Array]] = {}
     first = jnp.full((), jnp.inf, there.x.dtype)  # the smallest gap that is left out
-    for family, one in _families(alike, at, world).items():
+    for family, one in _families(alike, at, world, size).items():
         bears = one.near.weight > 0  # else it does not touch, behind the face or not
         chosen, others = _first_few(jnp.where(bears, one.near.gap, jnp.inf).ravel(), one.most)
         found[family] = one.pairs(chosen)
@@ -122,17 +139,19 @@ def touching_now(model: Model, state: State) -> tuple[Kept, Array]:
     return keep(model, **_index(found)), first > 0.0
 
 
-def _choose(model: Model, state: State, span: Array) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
+def _choose(
+    model: Model, state: State, span: Array, size: Capacities
+) -> tuple[dict[str, Array | None] | None, tuple[Any, ...]]:
     """Indices of what to keep (None: everything), and all else that `Candidates` hold."""
     at, world = pose(model, state), bodies(model, state, state.time, state.time)
-    size, pace, moved = capacities(model), _fastest_surface(model, state, span), span * _fastest_guide(model)
+    pace, moved = _fastest_surface(model, state, span), span * _fastest_guide(model)
     never = jnp.full((), jnp.inf, state.x.dtype)
     if not model.has_bodies or not size.any:
         return None, (never, {}, never, never, at, world, state.travel, pace, moved)
     index: dict[str, Array | None] = dict.fromkeys(FAMILIES)
     lasts, watched, free, apart = never, {}, never, never
     if size.listed:
-        index, lasts, watched, free = _list(model, at, world, span, pace)
+        index, lasts, watched, free = _list(model, at, world, span, pace, size)
     if size.partners is not None:
         index["partners"], apart = _partners(model, world, size.partners)
         reach = REACH + MARGIN * span * (_fastest_node(model, at) + pace)
@@ -155,9 +174,9 @@ class Family(NamedTuple):
         return body if self.which is None else self.which[body], feature
 
 
-def _families(model: Model, at: Pose, world: Bodies) -> dict[str, Family]:
+def _families(model: Model, at: Pose, world: Bodies, size: Capacities) -> dict[str, Family]:
     """Those of which pairs may be listed."""
-    close, size = _close_by(model, world, *nodes(model, at)), capacities(model)
+    close = _close_by(model, world, *nodes(model, at))
     looked_at = keep(model, *[c if c is None else c.which[:, None] for c in close])
     rows = features(model, at)
     return {
@@ -175,7 +194,7 @@ def _index(pairs: dict[str, tuple[Array, Array]]) -> dict[str, Array | None]:
 
 
 def _list(
-    model: Model, at: Pose, world: Bodies, span: Array, pace: Array
+    model: Model, at: Pose, world: Bodies, span: Array, pace: Array, size: Capacities
 ) -> tuple[dict[str, Array | None], Array, dict[str, Watched], Array]:
     """Indices of the pairs to list, how long they last, all others, and how near what was not even looked at may be."""
     velocity, motions, fastest = node_velocities(model, at), speeds(world), _fastest_node(model, at) + pace
@@ -183,7 +202,7 @@ def _list(
     listed: dict[str, tuple[Array, Array]] = {}
     watched: dict[str, Watched] = {}
     lasts = free = jnp.full((), jnp.inf, velocity[0].dtype)
-    for family, one in _families(model, at, world).items():
+    for family, one in _families(model, at, world, size).items():
         seen = watch(model, at, world, one.near, one.looked_at, family)
         closing = jnp.maximum(approach(model, seen, velocity, motions[family]), 0.0)
         chosen, watched[family], last = _most_urgent(seen, unasked + MARGIN * span * closing, one.most)

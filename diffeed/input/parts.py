@@ -299,6 +299,12 @@ class Scene:
         doc='what touches: bars with round joints ("bars") or the smooth curve through their midpoints ("smooth")',
         choices=("bars", "smooth"),
     )
+    crowded: bool = word(
+        default=False,
+        doc="whether sheets fly to and fro between walls so close that they touch both within a millisecond or two: twice as"
+        " many contacts are kept at hand, and a step takes longer",
+        type=bool,
+    )
     goal: str = word(default="", doc="sensor that the tail must pass for the run to count as passed; empty: none")
 
     def _repr_html_(self) -> str:

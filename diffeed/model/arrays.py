@@ -193,6 +193,7 @@ class Model:
     n_circle_guides: int = word(default=0, doc="circle guides among the circles", type=int)
     circle_names: tuple[str, ...] = word(default=(), doc="part behind each circle", type=tuple)
     skin: str = word(default="bars", doc="what of the sheets touches: bars or smooth")
+    crowded: bool = word(default=False, doc="whether long lists of contacts are kept", type=bool)
     sticks: tuple[bool, bool] = word(
         default=(False, False), doc="whether any circle, and any guide, has friction that sticks", type=tuple
     )

@@ -42,4 +42,5 @@ def build(scene: Scene) -> Model:
         circle_names=tuple(name for name, _ in circle_owners),
         sticks=(any_sticks(scene, circle_owners), any_sticks(scene, lines + arcs)),
         skin=scene.skin,
+        crowded=scene.crowded,
     )

@@ -182,7 +182,9 @@ def _simulate(
 
     def one_block(carry: Resume, start: Array) -> Resume:
         with jax.named_scope("search"):
-            found = search(model, carry.state, counts.steps * h)
+            found = search(
+                model, carry.state, counts.steps * h, brief=True
+            )  # a run in chosen steps stops where a list ends
 
         @recomputed
         def one_step(carry: Resume, k: Array) -> tuple[Resume, None]:
