@@ -311,7 +311,7 @@ def test_a_fast_sheet_between_short_guides_that_go_on_in_each_other():
         lead=(120.0, 0.15),
         speed=1e3,
     )
-    scene = diffeed.scene(sheets={"film": film}, guides=guides, initial="given")
+    scene = diffeed.scene(sheets={"film": film}, guides=guides, initial="given", crowded=True)
     done = diffeed.simulate(scene, duration=0.05, dt=1e-4, frames=2)
     assert done.ok, done.failure.describe()
     assert float(done.sheets["film"].nodes[-1, 0, 0]) == pytest.approx(167.5, abs=1.0)
