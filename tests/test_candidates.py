@@ -239,6 +239,12 @@ def test_a_run_on_many_short_lines_lists_those_that_bear(lying, monkeypatch, for
     assert float(run.final.state.x[0]) != float(rest.x[0])
 
 
+def fast_film(bars: int) -> Sheet:
+    """Halfway up a channel of 0.3 mm, at 1 m/s."""
+    at = {"lead": (120.0, 0.15), "speed": 1e3}
+    return Sheet(length=100.0, thickness=0.1, width=50.0, density=8e-7, youngs_modulus=2000.0, bars=bars, **at)
+
+
 def narrow(**other) -> diffeed.Scene:
     """A film at 1 m/s through a channel of 0.3 mm into its bend: thrown to and fro between the walls."""
     width, radius, end = 0.3, 40.0, 140.0
@@ -250,17 +256,7 @@ def narrow(**other) -> diffeed.Scene:
         walls[name] = diffeed.ArcGuide(
             center=(end, 0.5 * width + radius), radius=radius + out, start_angle=-90.0, sweep=90.0, side=name
         )
-    film = Sheet(
-        length=100.0,
-        thickness=0.1,
-        width=50.0,
-        density=8e-7,
-        youngs_modulus=2000.0,
-        bars=20,
-        lead=(120.0, 0.5 * width),
-        speed=1e3,
-    )
-    return diffeed.scene(sheets={"film": film}, guides=walls, initial="given", **other)
+    return diffeed.scene(sheets={"film": fast_film(20)}, guides=walls, initial="given", **other)
 
 
 @pytest.mark.long
@@ -301,17 +297,7 @@ def test_a_fast_sheet_between_short_guides_that_go_on_in_each_other():
                     center=centre, radius=radius, start_angle=angle - half, sweep=2.0 * half, side="outside"
                 )
             )
-    film = Sheet(
-        length=100.0,
-        thickness=0.1,
-        width=50.0,
-        density=8e-7,
-        youngs_modulus=2000.0,
-        bars=40,
-        lead=(120.0, 0.15),
-        speed=1e3,
-    )
-    scene = diffeed.scene(sheets={"film": film}, guides=guides, initial="given", crowded=True)
+    scene = diffeed.scene(sheets={"film": fast_film(40)}, guides=guides, initial="given", crowded=True)
     done = diffeed.simulate(scene, duration=0.05, dt=1e-4, frames=2)
     assert done.ok, done.failure.describe()
     assert float(done.sheets["film"].nodes[-1, 0, 0]) == pytest.approx(167.5, abs=1.0)

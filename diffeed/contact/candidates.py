@@ -38,7 +38,7 @@ SIZE = 100.0
 MANY_CIRCLES = 32
 """Circles that a few long bars may touch, each with one of them."""
 SMALL = 24
-"""Pairs of a family that are listed even where one wall would need fewer: as few as that save nothing."""
+"""Pairs of a family that are listed even where one wall needs fewer: sheets of few bars may meet both walls."""
 WORTH = 0.75
 """Of all pairs: a longer list would hardly be worth the gathering (estimated)."""
 FAMILIES = ("circles", "guides")
@@ -77,8 +77,7 @@ def capacities(model: Model, brief: bool = False) -> Capacities:
 
 
 def _one_wall(features: int, circles: int, guides: int) -> tuple[int, int]:
-    """Room for one circle and one guide for each feature, and for what nips and guides that go on in each other have beyond. The
-    shipped scenes need up to 1.3 circles and 1.0 guides for each, bent channels of 0.6 mm at 1 m/s 1.2, of 20 mm pieces 1.7."""
+    """Room for one circle and one guide for each feature, and for what nips and guides that go on in each other have beyond."""
     on_circles = max(features + min(circles, features) // 4, min(circles, MANY_CIRCLES))
     on_guides = features + max(features // 4, min(guides, 2 * features))
     return max(on_circles, SMALL), max(on_guides, SMALL)

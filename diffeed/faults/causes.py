@@ -22,8 +22,8 @@ _ALL = (
     Cause("speeds grew past anything a feeder can do", SHORTER),
     Cause(
         "more bodies came near the sheet than the search keeps",
-        "set crowded = true in the scene, which keeps more; else take shorter steps, give a tolerance, or put fewer parts in"
-        " one place",
+        "set crowded = true in the scene, which in equal steps keeps more; else take shorter steps, give a tolerance, or put"
+        " fewer parts in one place",
     ),
     Cause("something moved further between two searches than the search reached", SHORTER),
     Cause("the tolerance asks for more steps than `most_steps` allows", "allow more, or a larger tolerance"),

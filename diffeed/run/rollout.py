@@ -182,9 +182,8 @@ def _simulate(
 
     def one_block(carry: Resume, start: Array) -> Resume:
         with jax.named_scope("search"):
-            found = search(
-                model, carry.state, counts.steps * h, brief=True
-            )  # a run in chosen steps stops where a list ends
+            # Brief lists make short steps; chosen steps would get shorter by them, for they end where a list does.
+            found = search(model, carry.state, counts.steps * h, brief=True)
 
         @recomputed
         def one_step(carry: Resume, k: Array) -> tuple[Resume, None]:
