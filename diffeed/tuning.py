@@ -3,19 +3,26 @@
 import gc
 import os
 import tempfile
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from diffeed.base.one_kernel import THRESHOLD, jaxlib
 
 Version = tuple[int, int]
 Flags = tuple[tuple[str, str], ...]
 EXTRA = "xla_backend_extra_options"
 NO_EMITTERS: Flags = (("xla_cpu_use_fusion_emitters", "false"),)
 NO_UNROLLING: Flags = ((EXTRA, "xla_cpu_disable_loop_unrolling"),)
-QUICK = NO_EMITTERS + NO_UNROLLING
-"""Compiles in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second alone in
-seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by side is
-found without unrolling."""
+WHOLE: Flags = (
+    (EXTRA, f"{THRESHOLD}=1000000000"),
+    ("xla_cpu_experimental_ynn_fusion_type", ""),  # a library's sums, which no such kernel can call
+)
+"""One kernel of a whole loop of steps, however long its arrays are: single runs take about half the time
+(`diffeed.base.one_kernel`)."""
+QUICK = NO_EMITTERS + NO_UNROLLING + WHOLE
+"""The first two compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
+alone in seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by
+side is found without unrolling."""
 BATCHED = NO_UNROLLING
 """Takes longer to compile than `QUICK`, to batches that run faster: for hundreds of long runs."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
@@ -27,6 +34,7 @@ PLAIN: Flags = (("xla_backend_optimization_level", "0"),)
 KNOWN: dict[str, tuple[Version, ...]] = {
     "xla_cpu_use_fusion_emitters": ((0, 8), (0, 9), (0, 10)),
     EXTRA: ((0, 8), (0, 9), (0, 10), (0, 12)),  # ends the process in 0.11
+    "xla_cpu_experimental_ynn_fusion_type": ((0, 12),),
     "xla_backend_optimization_level": ((0, 8), (0, 9), (0, 10), (0, 11), (0, 12)),
 }
 """Versions of jaxlib that are known to take a flag: one that the compiler does not know ends the process."""
@@ -40,19 +48,19 @@ Python does unasked, finds nothing and takes a good part of its time."""
 
 
 def compile_quickly() -> None:
-    """Set what compiles quickly, to code that is fast too (`QUICK`; with the versions of `SURE` also `FUSED`), except where the
-    user has set that flag, and let Python look for garbage less often (`GARBAGE`): to be called before anything is compiled."""
-    _set_flags(QUICK + FUSED if _jaxlib() in SURE else QUICK)
+    """Set what compiles quickly, to code that is fast for single runs (`QUICK`), except where the user has set that flag, and let
+    Python look for garbage less often (`GARBAGE`): to be called before anything is compiled."""
+    _set_flags(QUICK)
 
 
 def compile_for_batches() -> None:
     """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs at once."""
-    _set_flags(BATCHED + FUSED if _jaxlib() in SURE else BATCHED)
+    _set_flags(BATCHED + FUSED if jaxlib() in SURE else BATCHED)
 
 
 def fuse_outputs() -> None:
-    """Set `QUICK` and `FUSED` likewise."""
-    _set_flags(QUICK + FUSED)
+    """Set what compiles quickly and `FUSED` likewise, instead of `WHOLE`, which gains nothing beside it."""
+    _set_flags(NO_EMITTERS + NO_UNROLLING + FUSED)
 
 
 def compile_plainly() -> None:
@@ -60,16 +68,11 @@ def compile_plainly() -> None:
     _set_flags(QUICK + PLAIN)
 
 
-def _jaxlib() -> Version:
-    major, minor = version("jaxlib").split(".")[:2]
-    return int(major), int(minor)
-
-
 def _set_flags(flags: Flags) -> None:
     given = os.environ.get("XLA_FLAGS", "")
     values: dict[str, list[str]] = {}
     for flag, value in flags:
-        if flag not in given and _jaxlib() in KNOWN[flag]:
+        if flag not in given and jaxlib() in KNOWN[flag]:
             values.setdefault(flag, []).append(value)
     ours = [f"--{flag}={','.join(each)}" for flag, each in values.items()]
     os.environ["XLA_FLAGS"] = " ".join([given, *ours]).strip()

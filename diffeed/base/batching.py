@@ -1,10 +1,25 @@
-"""What a batch decides together: a choice that each sample made for itself would cost all of them both ways."""
+"""How a batch is computed, and what it decides together: a choice that each sample made for itself would cost all of them both
+ways."""
 
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jax.custom_batching import custom_vmap
+
+from diffeed.base.one_kernel import loops_are_cheap
+
+
+def for_each(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function of one sample's arguments as one of stacked ones, (samples, ...): one sample after the other where a run is
+    one kernel, for that is faster than side by side (`tests.batch_cost`); elsewhere `jax.vmap`."""
+
+    def one_by_one(*given: Any) -> Any:
+        return lax.map(lambda each: function(*each), given)
+
+    return one_by_one if loops_are_cheap() else jax.vmap(function)
 
 
 @custom_vmap

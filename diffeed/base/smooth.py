@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
+from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.products import product
 
 
@@ -129,9 +130,9 @@ def _factored(whole: Array, k: int) -> tuple[Array, Array]:
     a call in every step: what stands beside them is larger than anything taken from it. Its factor is then the right-hand side
     for which the transposed factor answers with minus one there, and above with the solution: nothing needs to be cut out."""
     n = whole.shape[0] - k
-    root = lax.linalg.cholesky(whole, symmetrize_input=False)
+    root = factor(whole)
     right = jnp.pad(-root[n:, n:].T, ((n, 0), (0, 0)))
-    return root, lax.linalg.triangular_solve(root, right, left_side=True, lower=True, transpose_a=True)[:n]
+    return root, solve_triangular(root, right, transposed=True)[:n]
 
 
 @solve_bordered.defjvp
@@ -140,8 +141,7 @@ def _solve_bordered_jvp(k: int, given: tuple[Array], moved: tuple[Array]) -> tup
     root, x = _factored(given[0], k)
     root, change, more = root[:n, :n], change[:n, :n], change[n:, :n].T
     right = more - product(jnp.tril(change) + jnp.tril(change, -1).T, x)
-    half = lax.linalg.triangular_solve(root, right, left_side=True, lower=True)
-    return x, lax.linalg.triangular_solve(root, half, left_side=True, lower=True, transpose_a=True)
+    return x, solve_triangular(root, solve_triangular(root, right), transposed=True)
 
 
 def step_down(x: Array, half_width: float) -> Array:

@@ -3,20 +3,23 @@
 import jax.numpy as jnp
 from jax import Array
 
-from diffeed.base.products import ALL_DIGITS, product
+from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.products import product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain import dense, elimination
 from diffeed.chain.system import Solution, System
 from diffeed.model.layout import Layout
 
 DENSE_UP_TO = 100
-"""Bars up to which one dense matrix is faster than elimination bar by bar (measured, one CPU core, one run)."""
+"""Bars up to which one dense matrix is faster than elimination bar by bar where loops are dear (measured, one CPU core, one
+run)."""
 
 
 def solve(system: System, layout: Layout) -> Solution:
     """Solve the whole system; the joints are closed exactly."""
     bars, clamps = system.bars, system.clamps
-    respond = dense.respond if layout.n_bars <= DENSE_UP_TO else elimination.respond
+    as_matrix = layout.n_bars <= DENSE_UP_TO and not loops_are_cheap()
+    respond = dense.respond if as_matrix else elimination.respond
     force = jnp.stack([bars.fx, bars.fy, bars.fw])[None]
     rhs = jnp.zeros((1, 0), force.dtype) if system.border is None else system.border.rhs[None]
     if clamps is None:
@@ -37,6 +40,5 @@ def net_joint_force(system: System, solution: Solution) -> tuple[Array, Array]:
     y = b.xy * u.x + b.yy * u.y + b.yw * u.w - b.fy
     for beside, pull in ((system.border, u.border), (system.clamps, u.reaction)):
         if beside is not None:
-            more = jnp.tensordot(pull, beside.columns[:, :2], axes=1, precision=ALL_DIGITS)
-            x, y = x + more[0], y + more[1]
+            x, y = x + product(pull, beside.columns[:, 0]), y + product(pull, beside.columns[:, 1])
     return x, y

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.add_at import add_at
 from diffeed.chain.kinematics import Pose, from_nodes, pieces_to_bars
 from diffeed.model.arrays import Model
 
@@ -110,9 +111,7 @@ def by_feature(model: Model, values: Sequence[Array], pairs: Listed | None) -> A
     if pairs is None:
         return jnp.sum(jnp.stack(list(values)), axis=1)
     # What is of one pair stands side by side, as a scatter wants it: else all is copied first.
-    whole = jnp.stack(list(values), axis=-1)
-    start = jnp.zeros((model.layout.tail.shape[0], len(values)), whole.dtype)
-    return start.at[pairs.feature].add(whole, mode="promise_in_bounds").T
+    return add_at(model.layout.tail.shape[0], pairs.feature, jnp.stack(list(values), axis=-1)).T
 
 
 class Place(NamedTuple):

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.add_at import add_at, summed_at
+from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
 from diffeed.model.arrays import Guides, Model
@@ -161,8 +163,11 @@ def by_circle(
     place[kinds, which] = np.arange(len(which))
     at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
     feature = jnp.tile(kept.pairs.feature[: kept.n_circles], n_kinds)
-    # One value after the other, for of values side by side, as in `by_feature`, each would be computed in every place.
     n_features, places = model.layout.tail.shape[0], len(which) + 1
+    if loops_are_cheap():
+        found = add_at(places * n_features, at * n_features + feature, jnp.stack(rows, axis=-1))
+        return found.T.reshape(len(values), places, n_features)[:, :-1]
+    # One value after the other, for of values side by side, as in `by_feature`, each would be computed in every place.
     start = places * np.arange(len(values), dtype=np.int32)[:, None]
     found = jnp.zeros((len(values) * places * n_features,), rows[0].dtype)
     found = found.at[((start + at[None]) * n_features + feature[None]).ravel()].add(
@@ -176,16 +181,14 @@ def by_roller(model: Model, kept: Kept, values: Array) -> Array:
     n = model.rollers.n
     if kept.pairs is None or kept.circle_index is None:
         return jnp.sum(values[:, :n], axis=2)
-    sums = jnp.zeros((values.shape[0], len(model.circle_names)), values.dtype)
-    return sums.at[:, kept.circle_index].add(values[:, : kept.n_circles], mode="promise_in_bounds")[:, :n]
+    return summed_at(len(model.circle_names), kept.circle_index, values[:, : kept.n_circles])[:, :n]
 
 
 def by_body(model: Model, kept: Kept, values: Array) -> Array:
     """(k, bodies, features) or (k, pairs) -> (k, bodies): summed over all that a body touches."""
     if kept.pairs is None:
         return jnp.sum(values, axis=2)
-    sums = jnp.zeros((values.shape[0], len(model.body_names)), values.dtype)
-    return sums.at[:, _body_of_pairs(model, kept)].add(values, mode="promise_in_bounds")
+    return summed_at(len(model.body_names), _body_of_pairs(model, kept), values)
 
 
 def _body_of_pairs(model: Model, kept: Kept) -> Array:
@@ -201,5 +204,4 @@ def by_contact(model: Model, kept: Kept, values: Array) -> Array:
         own = jnp.asarray(layout.sheet_of_feature, values.dtype)
         return product(product(values, own), own.T)
     contact = _body_of_pairs(model, kept) * len(layout.bars) + jnp.asarray(layout.owner_of_feature)[kept.pairs.feature]
-    sums = jnp.zeros((values.shape[0], len(model.body_names) * len(layout.bars)), values.dtype)
-    return sums.at[:, contact].add(values, mode="promise_in_bounds")[:, contact]
+    return summed_at(len(model.body_names) * len(layout.bars), contact, values)[:, contact]

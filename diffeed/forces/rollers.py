@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.add_at import add_at
 from diffeed.base.batching import any_of_batch
+from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.products import product
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
@@ -139,7 +141,37 @@ def _on_partners(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, A
 
 
 def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
-    """g_n and g_t of all pairs in all unknowns, (border, 2 pairs): their weighed product, and the right-hand side."""
+    """What all pairs add to the matrix, (border, border), and to the right-hand side."""
+    return (_one_by_one if loops_are_cheap() else _as_product)(model, pairs, step)
+
+
+def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
+    """The same from the few unknowns of each pair: a travel and a spin of either roller. What has none goes to a last place."""
+    rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
+    a_n, a_t, f_n, f_t = felt(pairs, step).full()
+    places, normal, tangent = [], [], []
+    for side, given in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
+        index = jnp.asarray(given, jnp.int32)
+        spin = index - rollers.counts[0]
+        way = [v[jnp.clip(index, 0, m - 1)] for v in (rollers.dir_x, rollers.dir_y)]
+        places += [
+            jnp.where(of >= 0, jnp.where(of < n, first + of, m + f), m + f)
+            for of, n, first in ((index, m, 0), (spin, f, m))
+        ]
+        normal += [side * (pairs.nx * way[0] + pairs.ny * way[1]), jnp.zeros_like(pairs.nx)]
+        tangent += [side * (pairs.nx * way[1] - pairs.ny * way[0]), -rollers.radius[index]]
+    place, gn, gt = jnp.stack(places), jnp.stack(normal), jnp.stack(tangent)
+    rhs = add_at(m + f + 1, place.ravel(), (f_n[None] * gn + f_t[None] * gt).reshape(-1, 1))[:-1, 0]
+    if not step.implicit:
+        return jnp.zeros((m + f, m + f)), rhs
+    both = a_n[None, None] * gn[:, None] * gn[None] + a_t[None, None] * gt[:, None] * gt[None]
+    at = place[:, None] * (m + f + 1) + place[None]
+    full = add_at((m + f + 1) ** 2, at.ravel(), both.reshape(-1, 1)).reshape(m + f + 1, m + f + 1)
+    return full[:-1, :-1], rhs
+
+
+def _as_product(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
+    """The same as a product of g_n and g_t of all pairs in all unknowns, (border, 2 pairs)."""
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
     start = rollers.counts[0]

@@ -4,6 +4,7 @@ import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from diffeed.chain.system import BarTerms
@@ -30,4 +31,5 @@ def summed(terms: list[BarTerms]) -> BarTerms:
 
 def on_bar(model: Model, bar: int, value: Array) -> Array:
     """(bars,) with a value at one bar and zeros elsewhere."""
-    return jnp.zeros_like(model.bars.mass).at[bar].set(value)
+    here = np.arange(model.layout.n_bars) == bar
+    return jnp.where(here, value, jnp.zeros_like(model.bars.mass))
