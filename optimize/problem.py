@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 import diffeed
+from diffeed.base.batching import for_each
 from diffeed.base.names import nearest
 from diffeed.base.products import ALL_DIGITS
 from diffeed.base.words import quoted
@@ -173,8 +174,8 @@ def look(problem: Problem, unit: Array, settings: Settings) -> Seen:
         return jax.tree.map(lambda v: v[None], one(problem.scenes[0], made[0]))
     scenes = diffeed.stack(list(problem.scenes))
     if made.shape[0] == 1:
-        return jax.vmap(one, in_axes=(0, None))(scenes, made[0])
-    every = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(scenes, made)
+        return for_each(lambda scene: one(scene, made[0]))(scenes)
+    every = for_each(lambda scene: for_each(lambda deviation: one(scene, deviation))(made))(scenes)
     return _over_samples(problem, every)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from diffeed.base.batching import for_each
 from diffeed.base.records import replace
 from diffeed.bench.timing import precision, timed
 from diffeed.input.parts import Scene, SinglePrecision, normalise
@@ -60,7 +61,7 @@ def _measure(scene: Scene, size: int, dt: float, steps: int, fewest: int) -> dic
             done = simulate(scene, duration=dt * steps, dt=dt, frames=2, initial=state)
             return done.ok, done.final.state
 
-        return jax.vmap(one)(scenes)
+        return for_each(one)(scenes)
 
     made = timed(program, samples(scene, size), state, fewest=fewest)
     return {

@@ -39,11 +39,9 @@ def set_up(float32: bool = False, keep: bool = True, alone: bool = True) -> None
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
+    tuning.compile_quickly()
     if alone:
-        tuning.compile_quickly()
         tuning.use_one_core()
-    else:
-        tuning.compile_for_batches()
     if not keep:
         jax.config.update("jax_enable_compilation_cache", False)
     elif problem := tuning.keep_compilations():

@@ -10,6 +10,7 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from diffeed import tuning
+from diffeed.base.batching import for_each
 
 TOGETHER = 8
 """Samples that a processor core computes at once: with 4, 8 and 16 the film feeder's study made 2.8, 2.9 and 2.2 samples a
@@ -42,7 +43,10 @@ class Spread:
         devices = devices[: max(n for n in range(1, len(devices) + 1) if chunk % n == 0)]
         self.chunk = chunk
         self._place = NamedSharding(Mesh(devices, ("samples",)), PartitionSpec("samples"))
-        many = jax.vmap(function, in_axes=(0, None))
+
+        def many(rows: Array, given: Any) -> Any:
+            return for_each(lambda row: function(row, given))(rows)
+
         if len(devices) > 1:
             spec, to_all = PartitionSpec("samples"), PartitionSpec()
             many = jax.shard_map(many, mesh=self._place.mesh, in_specs=(spec, to_all), out_specs=spec, check_vma=False)
