@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -57,9 +58,7 @@ def _transposed(change: Any, index: Array, values: Any, *, count: int) -> tuple[
 
 _add_at = Primitive("add_at")
 _add_at.def_impl(jax.jit(_either, static_argnames=("count",)))
-_add_at.def_abstract_eval(
-    lambda index, values, *, count: jax.core.ShapedArray((count, *values.shape[1:]), values.dtype)
-)
+_add_at.def_abstract_eval(lambda index, values, *, count: ShapedArray((count, *values.shape[1:]), values.dtype))
 mlir.register_lowering(_add_at, mlir.lower_fun(_either, multiple_results=False))
 ad.defjvp(_add_at, None, lambda change, index, values, *, count: add_at(count, index, change))
 ad.primitive_transposes[_add_at] = _transposed

@@ -14,7 +14,7 @@ from diffeed.base.one_kernel import loops_are_cheap
 
 def for_each(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function of one sample's arguments as one of stacked ones, (samples, ...): one sample after the other where a run is
-    one kernel, for that is faster than side by side (`tests.batch_cost`); elsewhere `jax.vmap`."""
+    one kernel, for that is faster than side by side (`tests.one_kernel_cost`); elsewhere `jax.vmap`."""
 
     def one_by_one(*given: Any) -> Any:
         return lax.map(lambda each: function(*each), given)

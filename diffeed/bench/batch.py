@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from diffeed.base.batching import for_each
+from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.records import replace
 from diffeed.bench.timing import precision, timed
 from diffeed.input.parts import Scene, SinglePrecision, normalise
@@ -18,8 +19,9 @@ SIZES = (1, 4, 16, 64, 256, 1024, 4096)
 ON_ACCELERATORS = (16384, 65536)
 """Beyond those: what it takes to keep an accelerator busy."""
 QUICK_SIZES = (1, 4, 16, 64)
-STEPS, IN_ALL = 200, 2000
-"""Steps of every run, and at least of all together: so many that starting them (0.7 ms for twenty parts) hardly counts."""
+STEPS, IN_ALL, ONE_BY_ONE = 200, 2000, 64_000
+"""Steps of every run, and at least of all together, where samples are computed one by one too: so many that starting them (0.7 ms
+for twenty parts) hardly counts."""
 SPREAD = 0.01
 """Share by which the samples' moduli differ: they are not one sample many times."""
 
@@ -37,7 +39,7 @@ def batch(
 ) -> list[dict[str, Any]]:
     """One row per precision and size: compile and run time, steps of all samples per second, time per sample and step. `steps`
     of each run are as many as the size of the batch needs unless given, `sizes` those that tell something on the device."""
-    rows = []
+    rows, least = [], ONE_BY_ONE if loops_are_cheap() else IN_ALL
     sizes = sizes or (SIZES if jax.default_backend() == "cpu" else SIZES + ON_ACCELERATORS)
     for name in precisions:
         for size in sizes:
@@ -46,7 +48,7 @@ def batch(
             try:
                 with precision(name), warnings.catch_warnings():
                     warnings.simplefilter("ignore", SinglePrecision)
-                    row |= _measure(normalise(scene), size, dt, steps or max(STEPS, IN_ALL // size), fewest)
+                    row |= _measure(normalise(scene), size, dt, steps or max(STEPS, least // size), fewest)
             except Exception as error:  # a batch that does not fit into memory is an answer too
                 row["reason"] = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
             rows.append(row)
