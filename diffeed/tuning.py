@@ -17,14 +17,14 @@ WHOLE: Flags = (
     (EXTRA, f"{THRESHOLD}=1000000000"),
     ("xla_cpu_experimental_ynn_fusion_type", ""),  # a library's sums, which no such kernel can call
 )
-"""One kernel of a whole loop of steps, however long its arrays are: single runs take about half the time
-(`diffeed.base.one_kernel`)."""
+"""One kernel of a whole loop of steps, however long its arrays are: single runs take about half the time, a gradient takes longer
+to compile (`diffeed.base.one_kernel`, `python -m tests.one_kernel_cost`)."""
 QUICK = NO_EMITTERS + NO_UNROLLING + WHOLE
 """The first two compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
 alone in seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by
 side is found without unrolling."""
 BATCHED = NO_UNROLLING
-"""Takes longer to compile than `QUICK`, to batches that run faster: for hundreds of long runs."""
+"""Takes longer to compile than `QUICK`, to batches by `jax.vmap` that run faster; `QUICK` and `jax.lax.map` are faster still."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
 """One loop makes several results: with jaxlib 0.12 batches and gradients gain by it, with 0.10 nothing that was measured. Not for
 every scene: up to jaxlib 0.10 the compiler goes on with some (those of `runge_kutta` among them) until the memory is full."""
@@ -54,7 +54,8 @@ def compile_quickly() -> None:
 
 
 def compile_for_batches() -> None:
-    """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs at once."""
+    """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs side by side, by
+    `jax.vmap`."""
     _set_flags(BATCHED + FUSED if jaxlib() in SURE else BATCHED)
 
 

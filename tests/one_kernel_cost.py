@@ -34,9 +34,8 @@ def main(scene: str = "film_feeder", steps: str = "800") -> None:
     for what in answers["one kernel"]:
         one, many = (sorted(answers[name][what]) for name in WAYS)
         ratios = sorted(a / b for a, b in zip(answers["one kernel"][what], answers["many kernels"][what], strict=True))
-        print(
-            f"{what}: {one[TURNS // 2]:.1f} us a step in one kernel, {many[TURNS // 2]:.1f} in many; ratio {ratios[TURNS // 2]:.2f}"
-        )
+        took = f"{one[TURNS // 2]:.1f} us a step in one kernel, {many[TURNS // 2]:.1f} in many"
+        print(f"{what}: {took}; ratio {ratios[TURNS // 2]:.2f}")
     for process in started.values():
         process.stdin.close()
         process.wait()

@@ -475,7 +475,7 @@ def test_batches_hold_samples_that_differ(tiny):
     rows = batch.batch(tiny, (2,), ("float64", "float32"), dt=1e-3, steps=4, fewest=1)
     assert [(r["precision"], r["samples"], r["failed"]) for r in rows] == [("float64", 2, 0), ("float32", 2, 0)]
     assert [r["steps_per_second"] * r["run_seconds"] for r in rows] == pytest.approx([2 * 4] * 2)
-    assert batch.batch(tiny, (250,), ("float64",), dt=1e-5, fewest=1)[0]["steps"] == batch.STEPS
+    assert batch.batch(tiny, (400,), ("float64",), dt=1e-5, fewest=1)[0]["steps"] == batch.STEPS
 
 
 @pytest.mark.slow
