@@ -3,10 +3,11 @@
 import gc
 import os
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from diffeed.base.one_kernel import THRESHOLD, jaxlib
+from diffeed.base.one_kernel import THRESHOLD
 
 Version = tuple[int, int]
 Flags = tuple[tuple[str, str], ...]
@@ -56,7 +57,7 @@ def compile_quickly() -> None:
 def compile_for_batches() -> None:
     """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs side by side, by
     `jax.vmap`."""
-    _set_flags(BATCHED + FUSED if jaxlib() in SURE else BATCHED)
+    _set_flags(BATCHED + FUSED if _jaxlib() in SURE else BATCHED)
 
 
 def fuse_outputs() -> None:
@@ -69,11 +70,16 @@ def compile_plainly() -> None:
     _set_flags(QUICK + PLAIN)
 
 
+def _jaxlib() -> Version:
+    major, minor = version("jaxlib").split(".")[:2]
+    return int(major), int(minor)
+
+
 def _set_flags(flags: Flags) -> None:
     given = os.environ.get("XLA_FLAGS", "")
     values: dict[str, list[str]] = {}
     for flag, value in flags:
-        if flag not in given and jaxlib() in KNOWN[flag]:
+        if flag not in given and _jaxlib() in KNOWN[flag]:
             values.setdefault(flag, []).append(value)
     ours = [f"--{flag}={','.join(each)}" for flag, each in values.items()]
     os.environ["XLA_FLAGS"] = " ".join([given, *ours]).strip()

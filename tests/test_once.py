@@ -6,8 +6,8 @@ import pytest
 from stand_in_nip import nip
 
 import diffeed
+from diffeed import tuning
 from diffeed.base.once import computed_once, derived_once
-from diffeed.base.one_kernel import jaxlib
 from diffeed.chain import kinematics
 from diffeed.contact import sweep
 
@@ -54,7 +54,7 @@ def test_the_compiled_run_is_smaller_alone_and_in_a_batch(monkeypatch, function,
     with_it = operations(function, given)
     monkeypatch.setattr(sweep, "computed_once", lambda values: values)
     without = operations(function, given)
-    assert with_it < (without - 250 if jaxlib() < (0, 11) else 1.01 * without)
+    assert with_it < (without - 250 if tuning._jaxlib() < (0, 11) else 1.01 * without)
 
 
 @pytest.mark.long
@@ -63,7 +63,7 @@ def test_the_axes_of_bars_are_found_once(monkeypatch):
     with_it = operations(at_the_end, nip(), kind=" cosine(")
     monkeypatch.setattr(kinematics, "computed_once", lambda values: values)
     without = operations(at_the_end, nip(), kind=" cosine(")
-    assert 0 < with_it <= (0.5 if jaxlib() < (0, 11) else 1.0) * without
+    assert 0 < with_it <= (0.5 if tuning._jaxlib() < (0, 11) else 1.0) * without
 
 
 @pytest.mark.slow
@@ -71,4 +71,4 @@ def test_the_compiled_gradient_of_a_run_is_smaller(monkeypatch):
     """0.93 of the operations with JAX 0.10."""
     with_it = operations(jax.grad(at_the_end), nip())
     monkeypatch.setattr(sweep, "derived_once", lambda values: values)
-    assert with_it < (0.95 if jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())
+    assert with_it < (0.95 if tuning._jaxlib() < (0, 11) else 1.01) * operations(jax.grad(at_the_end), nip())

@@ -93,7 +93,7 @@ def test_a_run_is_the_same_either_way(monkeypatch, name):
 
 @pytest.mark.parametrize("method", ["linear_euler", pytest.param("midpoint", marks=pytest.mark.slow)])
 def test_the_loop_of_steps_is_one_kernel(method):
-    """Else a step calls a hundred of them, and takes twice as long: something in it scatters or calls a library."""
+    """Else a step calls a hundred of them, and takes twice as long: something in it calls a library."""
     scene = normalise(diffeed.load_scene("film_feeder"))
     start = prepare(scene).state
 

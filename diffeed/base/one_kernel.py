@@ -8,16 +8,9 @@ other (`diffeed.base.batching`).
 """
 
 import os
-from importlib.metadata import version
 
 THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 """The flag, with a number of bytes: what loops that become one kernel may read."""
-
-
-def jaxlib() -> tuple[int, int]:
-    """Major and minor version."""
-    major, minor = version("jaxlib").split(".")[:2]
-    return int(major), int(minor)
 
 
 def loops_are_cheap() -> bool:

@@ -1,7 +1,6 @@
 """Products of matrices in all digits, on every device."""
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from diffeed.base.one_kernel import loops_are_cheap
@@ -22,5 +21,5 @@ def product(a: Array, b: Array) -> Array:
 
 def _summed(a: Array, b: Array) -> Array:
     """The same as a sum, (..., n, k) times (k, m) or (k,)."""
-    over = b.reshape(*np.ones(a.ndim - 1, int), *b.shape)
+    over = b.reshape((1,) * (a.ndim - 1) + b.shape)
     return jnp.sum((a if b.ndim == 1 else a[..., None]) * over, axis=a.ndim - 1)

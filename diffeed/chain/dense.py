@@ -26,7 +26,7 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     columns = jnp.zeros((0, 3, layout.n_bars), sides.dtype) if beside is None else beside.columns
     lx, ly = 2.0 * system.lever_x, 2.0 * system.lever_y
     bias_x, bias_y = _centres(layout, jnp.stack([system.bias_x, system.bias_y]))
-    given = jnp.concatenate([sides.at[0].add(-_pull(system, bias_x, bias_y)), columns])
+    given = jnp.concatenate([sides.at[0].add(-system.bars.pull(bias_x, bias_y)), columns])
     b = system.bars
     halves, totals = _totals(layout, jnp.concatenate([jnp.stack([b.xx, b.xy, b.yy]), given[:, 0], given[:, 1]]))
     (half_x, half_y), (total_x, total_y) = (jnp.split(v[3:], 2) for v in (halves, totals))
@@ -72,12 +72,6 @@ def _by_rollers(chain: Array, coupling: Array, beside: Border, right: tuple[Arra
     on_chain, on_rollers = right
     x = solve_positive(chain - product(coupling.T, answer), (on_chain - product(on_rollers, answer)).T).T
     return jnp.concatenate([x, freed((on_rollers - product(x, coupling.T)).T).T], axis=1)
-
-
-def _pull(system: System, x: Array, y: Array) -> Array:
-    """(3, bars): what the blocks answer to accelerations of the centres."""
-    b = system.bars
-    return jnp.stack([b.xx * x + b.xy * y, b.xy * x + b.yy * y, b.xw * x + b.yw * y])
 
 
 def _centres(layout: Layout, halves: Array) -> Array:

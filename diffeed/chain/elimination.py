@@ -30,7 +30,7 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     k, beside, lever = sides.shape[0], system.border, (system.lever_x, system.lever_y)
     # What centres do if nothing turns any faster: sums of what each joint adds to the one in front.
     bias_x, bias_y = running(layout, 2.0 * jnp.stack([system.bias_x, system.bias_y]))
-    given = jnp.concatenate([sides[:1] - _pull(system, bias_x, bias_y)[None], sides[1:]])
+    given = jnp.concatenate([sides[:1] - system.bars.pull(bias_x, bias_y)[None], sides[1:]])
     if beside is not None:
         given = jnp.concatenate([given, beside.columns])
     chain = _factored(system, layout)
@@ -48,12 +48,6 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     x, y, w = _placed(chain, layout, lever, left)
     first = jnp.asarray(np.arange(k) == 0, x.dtype)[:, None]
     return Answer(x + first * bias_x[None], y + first * bias_y[None], w, z)
-
-
-def _pull(system: System, x: Array, y: Array) -> Array:
-    """(3, bars): what the blocks answer to accelerations of the centres."""
-    b = system.bars
-    return jnp.stack([b.xx * x + b.xy * y, b.xy * x + b.yy * y, b.xw * x + b.yw * y])
 
 
 class Chain(NamedTuple):

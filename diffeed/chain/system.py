@@ -25,6 +25,10 @@ class BarTerms(NamedTuple):
     fy: Array
     fw: Array
 
+    def pull(self, x: Array, y: Array) -> Array:
+        """(3, bars): what the blocks answer to accelerations of the centres."""
+        return jnp.stack([self.xx * x + self.xy * y, self.xy * x + self.yy * y, self.xw * x + self.yw * y])
+
 
 class Border(NamedTuple):
     """Rollers beside the chain: their travels, then their free spins. With the chain they form one positive matrix.

@@ -154,10 +154,7 @@ def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Ar
         index = jnp.asarray(given, jnp.int32)
         spin = index - rollers.counts[0]
         way = [v[jnp.clip(index, 0, m - 1)] for v in (rollers.dir_x, rollers.dir_y)]
-        places += [
-            jnp.where(of >= 0, jnp.where(of < n, first + of, m + f), m + f)
-            for of, n, first in ((index, m, 0), (spin, f, m))
-        ]
+        places += [jnp.where((of >= 0) & (of < n), first + of, m + f) for of, n, first in ((index, m, 0), (spin, f, m))]
         normal += [side * (pairs.nx * way[0] + pairs.ny * way[1]), jnp.zeros_like(pairs.nx)]
         tangent += [side * (pairs.nx * way[1] - pairs.ny * way[0]), -rollers.radius[index]]
     place, gn, gt = jnp.stack(places), jnp.stack(normal), jnp.stack(tangent)
