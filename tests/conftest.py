@@ -59,6 +59,16 @@ def _forget_compiled_programs():
         gc.collect()
 
 
+@pytest.fixture
+def loops_are_dear(monkeypatch):
+    """Programs as a library without flags has them, and an accelerator (`diffeed.base.one_kernel`); what was traced before is
+    forgotten."""
+    monkeypatch.delenv("XLA_FLAGS")
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture(autouse=True)
 def _closed_figures():
     """What one test draws is not counted by the next."""

@@ -35,6 +35,7 @@ def chosen_steps(scene):
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("loops_are_dear")
 @pytest.mark.parametrize("function", [run, slope, chosen_steps])
 def test_programs_are_lowered_for_accelerators(function):
     """Alone and in a batch: `export` refuses what a platform has no rule for, and nothing calls what the processor alone has."""
@@ -70,6 +71,7 @@ OBSERVERS = ("nips", "feed", "spans", "energy", "arrivals")
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("loops_are_dear")
 @pytest.mark.parametrize("bars", [5, 120], ids=["dense", "elimination"])
 def test_products_keep_all_digits_everywhere(bars):
     """Accelerators take products of float32 in a third of their digits unless told otherwise: each equation is told."""

@@ -24,13 +24,12 @@ RIGHT = jnp.asarray(RANDOM.normal(size=(7, 2)))
 
 
 @pytest.fixture(params=["cheap", "dear"])
-def loops(request, monkeypatch):
+def loops(request):
     """Whether loops are taken to be cheap; what was traced before is forgotten."""
     if request.param == "dear":
-        monkeypatch.delenv("XLA_FLAGS")
+        request.getfixturevalue("loops_are_dear")
     jax.clear_caches()
-    yield request.param
-    jax.clear_caches()
+    return request.param
 
 
 def scattered(values, index=INDEX):
