@@ -15,6 +15,7 @@ from diffeed.base.products import product
 from diffeed.base.smooth import solve_positive
 from diffeed.input.parts import normalise
 from diffeed.run.examine import prepare
+from diffeed.run.rollout import BLOCK
 
 RANDOM = np.random.default_rng(3)
 INDEX, VALUES = jnp.asarray(RANDOM.integers(0, 5, 9), jnp.int32), jnp.asarray(RANDOM.normal(size=(9, 3)))
@@ -36,12 +37,16 @@ def scattered(values, index=INDEX):
     return jnp.zeros((5, 3)).at[index].add(values)
 
 
+def columns(values, index):
+    return jnp.stack(add_at(5, index, list(values.T)), axis=1)
+
+
 def test_these_tests_know_both(loops):
     assert loops_are_cheap() == (loops == "cheap")
 
 
 def test_rows_are_summed_at_their_places(loops):
-    np.testing.assert_allclose(add_at(5, INDEX, VALUES), scattered(VALUES), rtol=1e-15)
+    np.testing.assert_allclose(columns(VALUES, INDEX), scattered(VALUES), rtol=1e-15)
     np.testing.assert_allclose(summed_at(5, INDEX, VALUES.T), scattered(VALUES).T, rtol=1e-15)
 
 
@@ -49,7 +54,7 @@ def test_so_are_their_derivatives_and_those_of_a_batch(loops):
     def of_squares(summed):
         return lambda values, index=INDEX: jnp.sum(summed(values**2, index) ** 3)
 
-    ours, known = of_squares(lambda values, index: add_at(5, index, values)), of_squares(scattered)
+    ours, known = of_squares(columns), of_squares(scattered)
     for derivative in (jax.grad, jax.jacfwd, jax.hessian):
         np.testing.assert_allclose(derivative(ours)(VALUES), derivative(known)(VALUES), rtol=1e-13)
     values, index = jnp.stack([VALUES, 2.0 * VALUES]), jnp.stack([INDEX, INDEX[::-1]])
@@ -91,15 +96,17 @@ def test_a_run_is_the_same_either_way(monkeypatch, name):
 
 
 @pytest.mark.parametrize("method", ["linear_euler", pytest.param("midpoint", marks=pytest.mark.slow)])
-def test_the_loop_of_steps_is_one_kernel(method):
-    """Else a step calls a hundred of them, and takes twice as long: something in it calls a library."""
+def test_a_run_is_one_kernel(method):
+    """Of all its blocks of steps, with their searches: else a step calls a hundred, a search as many, and all takes twice as long:
+    something in it calls a library."""
     scene = normalise(diffeed.load_scene("film_feeder"))
-    start = prepare(scene).state
+    start, blocks = prepare(scene).state, 10
 
     def end(scene):
-        return diffeed.simulate(scene, duration=320e-4, dt=1e-4, frames=2, method=method, initial=start).final.state
+        run = diffeed.simulate(scene, duration=blocks * BLOCK * 1e-4, dt=1e-4, frames=2, method=method, initial=start)
+        return run.final.state
 
     text = jax.jit(end).lower(scene).compile().as_text()
-    assert len(re.findall(r'known_trip_count":{"n":"16"', text)) == 1
+    assert len(re.findall(rf'known_trip_count":{{"n":"{BLOCK}"', text)) == 1
     # What a loop that became a kernel has for itself is a computation that is nothing but it.
-    assert re.search(r'ROOT %while[^\n]*known_trip_count":{"n":"16"', text)
+    assert re.search(rf'ROOT %while[^\n]*known_trip_count":{{"n":"{blocks}"', text)

@@ -1,9 +1,10 @@
-"""Rows summed at places that are found only in the run, as a loop where loops are cheap.
+"""Values summed at places that are found only in the run, as a loop where loops are cheap.
 
-A primitive of its own, for a batch takes another way than one sample: there a loop over rows at places of each sample's own would
+A primitive of its own, for a batch takes another way than one sample: there a loop over values at places of each sample's own would
 be a loop of scatters, and one scatter is cheaper.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -16,50 +17,68 @@ from jax.interpreters import ad, batching, mlir
 from diffeed.base.one_kernel import loops_are_cheap
 
 
-def add_at(count: int, index: Array, values: Array) -> Array:
-    """(rows,) places below `count` and (rows, k) -> (count, k): at each place the sum of its rows."""
-    return _add_at.bind(index, values, count=count)
+def add_at(count: int, index: Array, values: Sequence[Array]) -> list[Array]:
+    """(rows,) places below `count` and several (rows,) -> (count,) of each: at each place the sum of its rows."""
+    return _add_at.bind(index, *values, count=count)
 
 
 def summed_at(count: int, index: Array, values: Array) -> Array:
-    """(k, rows) and (rows,) places -> (k, count): the same, rows last."""
+    """(k, rows) and (rows,) places -> (k, count): the same of rows of one array."""
     if loops_are_cheap():
-        return add_at(count, index, values.T).T
+        return jnp.stack(add_at(count, index, list(values)))
     return jnp.zeros((values.shape[0], count), values.dtype).at[:, index].add(values, mode="promise_in_bounds")
 
 
-def _scattered(index: Array, values: Array, *, count: int) -> Array:
-    nothing = jnp.zeros((count, *values.shape[1:]), values.dtype)
-    return nothing.at[index].add(values, mode="promise_in_bounds")
+def _scattered(index: Array, *values: Array, count: int) -> list[Array]:
+    """What is of one row stands side by side, as a scatter wants it: else all is copied first."""
+    nothing = jnp.zeros((count, len(values)), values[0].dtype)
+    return list(nothing.at[index].add(jnp.stack(values, axis=-1), mode="promise_in_bounds").T)
 
 
-def _in_a_loop(index: Array, values: Array, *, count: int) -> Array:
-    def one(sums: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
-        place, value = row
-        return lax.dynamic_update_index_in_dim(
-            sums, lax.dynamic_index_in_dim(sums, place, keepdims=False) + value, place, 0
-        ), None
+def _in_a_loop(index: Array, *values: Array, count: int) -> list[Array]:
+    """Each in an array of its own: nothing is joined before, nor taken apart after."""
 
-    return lax.scan(one, jnp.zeros((count, *values.shape[1:]), values.dtype), (index, values))[0]
+    def one(sums: tuple[Array, ...], row: tuple[Array, tuple[Array, ...]]) -> tuple[tuple[Array, ...], None]:
+        place, values = row
+        olds = [lax.dynamic_index_in_dim(sum_, place, keepdims=False) for sum_ in sums]
+        news = [
+            lax.dynamic_update_index_in_dim(sum_, old + value, place, 0)
+            for sum_, old, value in zip(sums, olds, values, strict=True)
+        ]
+        return tuple(news), None
 
-
-def _either(index: Array, values: Array, *, count: int) -> Array:
-    return (_in_a_loop if loops_are_cheap() else _scattered)(index, values, count=count)
-
-
-def _of_a_batch(given: tuple[Array, Array], axes: tuple[Any, Any], *, count: int) -> tuple[Array, int]:
-    many = jax.vmap(lambda index, values: _scattered(index, values, count=count), in_axes=axes)
-    return many(*given), 0
+    nothing = tuple(jnp.zeros((count,), v.dtype) for v in values)
+    return list(lax.scan(one, nothing, (index, values))[0])
 
 
-def _transposed(change: Any, index: Array, values: Any, *, count: int) -> tuple[None, Any]:
-    return None, ad.Zero(values.aval) if isinstance(change, ad.Zero) else change[index]
+def _either(index: Array, *values: Array, count: int) -> list[Array]:
+    return (_in_a_loop if loops_are_cheap() else _scattered)(index, *values, count=count)
+
+
+def _of_a_batch(given: Sequence[Array], axes: Sequence[Any], *, count: int) -> tuple[list[Array], list[int]]:
+    many = jax.vmap(lambda index, *values: _scattered(index, *values, count=count), in_axes=tuple(axes))
+    return many(*given), [0] * (len(given) - 1)
+
+
+def _moved(given: Sequence[Array], changes: Sequence[Any], *, count: int) -> tuple[list[Array], list[Array]]:
+    index, *values = given
+    moved = [ad.instantiate_zeros(change) for change in changes[1:]]
+    return add_at(count, index, values), add_at(count, index, moved)
+
+
+def _transposed(changes: Sequence[Any], index: Array, *values: Any, count: int) -> list[Any]:
+    of_each = [
+        ad.Zero(value.aval) if isinstance(change, ad.Zero) else change[index]
+        for change, value in zip(changes, values, strict=True)
+    ]
+    return [None, *of_each]
 
 
 _add_at = Primitive("add_at")
+_add_at.multiple_results = True
 _add_at.def_impl(jax.jit(_either, static_argnames=("count",)))
-_add_at.def_abstract_eval(lambda index, values, *, count: ShapedArray((count, *values.shape[1:]), values.dtype))
-mlir.register_lowering(_add_at, mlir.lower_fun(_either, multiple_results=False))
-ad.defjvp(_add_at, None, lambda change, index, values, *, count: add_at(count, index, change))
+_add_at.def_abstract_eval(lambda index, *values, count: [ShapedArray((count,), v.dtype) for v in values])
+mlir.register_lowering(_add_at, mlir.lower_fun(_either, multiple_results=True))
+ad.primitive_jvps[_add_at] = _moved
 ad.primitive_transposes[_add_at] = _transposed
 batching.primitive_batchers[_add_at] = _of_a_batch

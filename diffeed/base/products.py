@@ -19,7 +19,14 @@ def product(a: Array, b: Array) -> Array:
     return jnp.matmul(a, b, precision=ALL_DIGITS)
 
 
+SIDE_BY_SIDE = 4
+"""Columns from which a sum of outer products beats sums of products: then the compiler takes several at once."""
+
+
 def _summed(a: Array, b: Array) -> Array:
     """The same as a sum, (..., n, k) times (k, m) or (k,)."""
+    if a.ndim == 2 and b.ndim == 2 and b.shape[1] >= SIDE_BY_SIDE:
+        nothing = jnp.zeros((a.shape[0], b.shape[1]), jnp.result_type(a, b))
+        return lax.scan(lambda sum_, row: (sum_ + row[0][:, None] * row[1][None, :], None), nothing, (a.T, b))[0]
     over = b.reshape((1,) * (a.ndim - 1) + b.shape)
     return jnp.sum((a if b.ndim == 1 else a[..., None]) * over, axis=a.ndim - 1)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.smallest import smallest
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies, spins
@@ -222,9 +223,7 @@ def _first_few(values: Array, count: int) -> tuple[Array, Array]:
     """Places of the smallest values, (count,) or all, and the values with those at infinity."""
     if count >= values.shape[0]:
         return jnp.arange(values.shape[0], dtype=jnp.int32), jnp.full_like(values, jnp.inf)
-    # In single precision the compiler looks for the first few, in double it sorts all; which of two about equal ones is
-    # taken does not matter.
-    chosen = lax.top_k(-values.astype(jnp.float32), count)[1]
+    chosen = smallest(values, count)
     return chosen, values.at[chosen].set(jnp.inf)
 
 

@@ -110,8 +110,7 @@ def by_feature(model: Model, values: Sequence[Array], pairs: Listed | None) -> A
     """(bodies, features) or (pairs,) each -> (values, features): summed over what each feature touches."""
     if pairs is None:
         return jnp.sum(jnp.stack(list(values)), axis=1)
-    # What is of one pair stands side by side, as a scatter wants it: else all is copied first.
-    return add_at(model.layout.tail.shape[0], pairs.feature, jnp.stack(list(values), axis=-1)).T
+    return jnp.stack(add_at(model.layout.tail.shape[0], pairs.feature, values))
 
 
 class Place(NamedTuple):

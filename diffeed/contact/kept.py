@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from diffeed.base.add_at import add_at, summed_at
 from diffeed.base.one_kernel import loops_are_cheap
@@ -155,18 +155,29 @@ def by_circle(
     """Of each value its kinds, (circles, features) or (pairs,) of circles, -> (values, which, features): of one kind each, what
     a circle has with every feature."""
     n_kinds, kinds = len(values[0]), np.broadcast_to(np.asarray(kind, int), which.shape)
-    rows = [jnp.concatenate(list(each)) for each in values]
     if kept.pairs is None or kept.circle_index is None:
+        rows = [jnp.concatenate(list(each)) for each in values]
         return jnp.stack(rows)[:, rows[0].shape[0] // n_kinds * kinds + which]
+    feature, n_features = kept.pairs.feature[: kept.n_circles], model.layout.tail.shape[0]
+    if loops_are_cheap():
+        # All kinds of each circle that is asked for, in a last place of all others.
+        asked, slot = np.unique(which, return_inverse=True)
+        place = np.full((len(model.circle_names),), len(asked), np.int32)
+        place[asked] = np.arange(len(asked))
+        at = jnp.asarray(place)[kept.circle_index] * n_features + feature
+        found = add_at((len(asked) + 1) * n_features, at, [v for each in values for v in each])
+        # What stands together there and is of one kind is taken at once: of travels, then of spins.
+        starts = np.flatnonzero((np.diff(slot, prepend=-2) != 1) | (np.diff(kinds, prepend=-1) != 0))
+        runs = [(kinds[k[0]], slice(slot[k[0]], slot[k[-1]] + 1)) for k in np.split(np.arange(len(which)), starts[1:])]
+        rows = [v.reshape(-1, n_features) for v in found]
+        parts = [rows[v * n_kinds + kind][run] for v in range(len(values)) for kind, run in runs]
+        return jnp.concatenate(parts).reshape(len(values), len(which), n_features)
+    rows = [jnp.concatenate(list(each)) for each in values]
     # Where each circle belongs by each kind, in a last place what is not asked for.
     place = np.full((n_kinds, len(model.circle_names)), len(which))
     place[kinds, which] = np.arange(len(which))
     at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
-    feature = jnp.tile(kept.pairs.feature[: kept.n_circles], n_kinds)
-    n_features, places = model.layout.tail.shape[0], len(which) + 1
-    if loops_are_cheap():
-        found = add_at(places * n_features, at * n_features + feature, jnp.stack(rows, axis=-1))
-        return found.T.reshape(len(values), places, n_features)[:, :-1]
+    feature, places = jnp.tile(feature, n_kinds), len(which) + 1
     # One value after the other, for of values side by side, as in `by_feature`, each would be computed in every place.
     start = places * np.arange(len(values), dtype=np.int32)[:, None]
     found = jnp.zeros((len(values) * places * n_features,), rows[0].dtype)

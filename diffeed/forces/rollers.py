@@ -146,24 +146,35 @@ def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]
 
 
 def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
-    """The same from the few unknowns of each pair: a travel and a spin of either roller. What has none goes to a last place."""
+    """The same from the few unknowns of each pair: a travel and a spin of either roller. What has none goes to a last place, or,
+    where it is known which rollers are in the pairs, nowhere."""
     rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
+    known = isinstance(pairs.between[0], np.ndarray)
+    xp = np if known else jnp
     places, normal, tangent = [], [], []
-    for side, given in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
-        index = jnp.asarray(given, jnp.int32)
+    for side, index in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
         spin = index - rollers.counts[0]
-        way = [v[jnp.clip(index, 0, m - 1)] for v in (rollers.dir_x, rollers.dir_y)]
-        places += [jnp.where((of >= 0) & (of < n), first + of, m + f) for of, n, first in ((index, m, 0), (spin, f, m))]
+        way = [v[xp.clip(index, 0, m - 1)] for v in (rollers.dir_x, rollers.dir_y)]
+        places += [xp.where((of >= 0) & (of < k), first + of, m + f) for of, k, first in ((index, m, 0), (spin, f, m))]
         normal += [side * (pairs.nx * way[0] + pairs.ny * way[1]), jnp.zeros_like(pairs.nx)]
         tangent += [side * (pairs.nx * way[1] - pairs.ny * way[0]), -rollers.radius[index]]
-    place, gn, gt = jnp.stack(places), jnp.stack(normal), jnp.stack(tangent)
-    rhs = add_at(m + f + 1, place.ravel(), (f_n[None] * gn + f_t[None] * gt).reshape(-1, 1))[:-1, 0]
+    place, gn, gt = xp.concatenate(places), jnp.concatenate(normal), jnp.concatenate(tangent)
+    # One after the other the unknowns of all pairs, and which of them meet in one pair: what is neither travel nor spin left out.
+    n, count = m + f + 1, pairs.gap.shape[0]
+    unknown = np.flatnonzero(place < m + f) if known else np.arange(place.shape[0])
+    meet = (unknown[:, None] - unknown[None]) % count == 0
+    if known:
+        meet &= place[unknown][:, None] >= place[unknown][None]  # the lower triangle is enough
+    first, second = (unknown[k] for k in np.nonzero(meet))
+    pair, one = unknown % count, first % count
+    rhs = f_n[pair] * gn[unknown] + f_t[pair] * gt[unknown]
+    rhs = add_at(n, jnp.asarray(place[unknown], jnp.int32), [rhs])[0][:-1]
     if not step.implicit:
         return jnp.zeros((m + f, m + f)), rhs
-    both = a_n[None, None] * gn[:, None] * gn[None] + a_t[None, None] * gt[:, None] * gt[None]
-    at = place[:, None] * (m + f + 1) + place[None]
-    full = add_at((m + f + 1) ** 2, at.ravel(), both.reshape(-1, 1)).reshape(m + f + 1, m + f + 1)
+    both = a_n[one] * gn[first] * gn[second] + a_t[one] * gt[first] * gt[second]
+    at = jnp.asarray(place[first] * n + place[second], jnp.int32)
+    full = add_at(n * n, at, [both])[0].reshape(n, n)
     return full[:-1, :-1], rhs
 
 

@@ -40,7 +40,7 @@ from diffeed.run import error_control
 from diffeed.run.progress import begin, recomputed, searched, taken
 from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, ORDERS, STEPPERS
 
-BLOCK = 16
+BLOCK = 32
 """Most steps between two searches for candidates."""
 LONG_BLOCK = 8
 """Length of a block beyond which a frame may get some steps more than asked for: few long ones stay as they are."""

@@ -1,0 +1,66 @@
+"""The places of the smallest values: by the library, or in loops where those are cheap."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.custom_batching import custom_vmap
+
+from diffeed.base.one_kernel import loops_are_cheap
+
+BITS = 16
+"""The first of single precision: its sign, its exponent and two digits."""
+
+
+def smallest(values: Array, count: int) -> Array:
+    """(n,) -> (count,) places of the smallest, in any order. Which of two about equal ones is taken, alike in their first two
+    digits, is left open. For what has no derivative."""
+    single = values.astype(jnp.float32)
+    return _in_loops(count)(single) if loops_are_cheap() else _by_the_library(single, count)
+
+
+def _by_the_library(values: Array, count: int) -> Array:
+    return lax.top_k(-values, count)[1]  # of single precision, for in double the compiler sorts all
+
+
+def _in_loops(count: int) -> Any:
+    """The count-th smallest is found bit by bit, then the places of what is not above it are written one after the other."""
+
+    @custom_vmap
+    def found(values: Array) -> Array:
+        key = _in_order(values)
+
+        def below(limit: Array) -> Array:
+            return jnp.sum(key < limit, dtype=jnp.int32)
+
+        def one_bit(k: Array, last: Array) -> Array:
+            more = last | jnp.left_shift(jnp.asarray(1, jnp.int32), BITS - 1 - k.astype(jnp.int32))
+            return jnp.where(below(more) < count, more, last)
+
+        last = lax.fori_loop(0, BITS, one_bit, jnp.zeros((), jnp.int32))
+
+        def one_place(carry: tuple[Array, Array, Array], given: tuple[Array, Array]) -> tuple[Any, None]:
+            (places, n, spare), (k, own) = carry, given
+            equal = (own == last) & (spare > 0)
+            # Written each time: over what was not taken, the next is.
+            places = lax.dynamic_update_index_in_dim(places, k, n, 0)
+            taken = (own < last) | equal
+            return (places, n + taken.astype(jnp.int32), spare - equal.astype(jnp.int32)), None
+
+        # Of those alike to the last one so many are taken as are missing.
+        start = (jnp.zeros((count + 1,), jnp.int32), jnp.zeros((), jnp.int32), count - below(last))
+        (places, _, _), _ = lax.scan(one_place, start, (jnp.arange(key.shape[0], dtype=jnp.int32), key))
+        return places[:-1]
+
+    @found.def_vmap
+    def _(size: int, batched: list[bool], values: Array) -> tuple[Array, bool]:
+        return jax.vmap(lambda v: _by_the_library(v, count))(values), True
+
+    return found
+
+
+def _in_order(values: Array) -> Array:
+    """Whole numbers from 0 in the order of single-precision ones, by their first bits; what is no number comes last."""
+    bits = lax.bitcast_convert_type(jnp.where(jnp.isnan(values), jnp.inf, values), jnp.int32)
+    return jnp.where(bits < 0, ~bits, bits ^ (-1 << 31)) >> (32 - BITS) & ((1 << BITS) - 1)
