@@ -1,6 +1,7 @@
 """Every test runs in float64, without silent rank or dtype promotion; a test that needs float32 says so itself."""
 
 import gc
+import os
 from pathlib import Path
 
 import jax
@@ -9,8 +10,10 @@ import pytest
 from matplotlib import pyplot
 
 from diffeed import tuning
+from diffeed.base.one_kernel import THRESHOLD
 
-tuning.compile_plainly()  # most tests run a program once; flags that are given in XLA_FLAGS stay
+# Most tests run a program once. Flags that are given in XLA_FLAGS stay, and commands that are called here add none to these.
+tuning.compile_plainly()
 # A command called in this process would set it for all processes that are started later.
 tuning.use_one_core = lambda: None
 jax.config.update("jax_enable_x64", True)
@@ -61,9 +64,18 @@ def _forget_compiled_programs():
 
 @pytest.fixture
 def loops_are_dear(monkeypatch):
-    """Programs as a library without flags has them, and an accelerator (`diffeed.base.one_kernel`); what was traced before is
-    forgotten."""
+    """Programs as a library without flags has them, and an accelerator (`diffeed.base.one_kernel`), also where XLA_FLAGS says
+    otherwise for all tests; what was traced before is forgotten."""
     monkeypatch.delenv("XLA_FLAGS")
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
+@pytest.fixture
+def loops_are_cheap(monkeypatch):
+    """Programs as the commands make them; the compiler itself is not told, for it reads its flags only once."""
+    monkeypatch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} {THRESHOLD}")
     jax.clear_caches()
     yield
     jax.clear_caches()

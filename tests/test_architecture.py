@@ -12,8 +12,8 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    base: words names record_html records files folders terminal toml_text limits one_kernel batching add_at products factor
-    base: sweeps smooth once
+    base: words names record_html records files folders terminal toml_text limits one_kernel batching smallest add_at products
+    base: factor sweeps smooth once
     tuning plot_style
     pair: shapes skin law rebound
     input: parts packing check_values check_rules check_records remarks_places remarks paths scene_file stacking
