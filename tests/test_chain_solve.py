@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import diffeed
-from diffeed.bench.jaxprs import operations
 from diffeed.base.one_kernel import THRESHOLD
+from diffeed.bench.jaxprs import operations
 from diffeed.chain import dense, elimination
 from diffeed.chain import solve as chain_solve
 from diffeed.chain.system import BarTerms, Border, Clamped, System

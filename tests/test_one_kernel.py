@@ -140,8 +140,8 @@ assert re.search(f'ROOT %while[^\\n]*known_trip_count":{{{{"n":"{{blocks}}"', te
 
 @pytest.mark.parametrize("method", ["linear_euler", pytest.param("midpoint", marks=pytest.mark.slow)])
 def test_a_run_is_one_kernel(method):
-    """Of all its blocks of steps, with their searches: else a step calls a hundred, a search as many, and all takes twice as long:
-    something in it calls a library. In a process of its own, for a compiler reads its flags only once."""
+    """Of all its blocks of steps, with their searches: else a step calls a hundred, a search as many, and all takes twice as
+    long: something in it calls a library. In a process of its own, for a compiler reads its flags only once."""
     env = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"} | {
         "XLA_FLAGS": "--xla_backend_optimization_level=0"
     }

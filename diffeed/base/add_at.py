@@ -1,7 +1,7 @@
 """Values summed at places that are found only in the run, as a loop where loops are cheap.
 
-A primitive of its own, for a batch takes another way than one sample: there a loop over values at places of each sample's own would
-be a loop of scatters, and one scatter is cheaper.
+A primitive of its own, for a batch takes another way than one sample: there a loop over values at places of each sample's own
+would be a loop of scatters, and one scatter is cheaper.
 """
 
 from collections.abc import Sequence

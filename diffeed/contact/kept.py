@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
 from diffeed.base.add_at import add_at, summed_at
 from diffeed.base.one_kernel import loops_are_cheap
