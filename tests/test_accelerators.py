@@ -72,7 +72,7 @@ OBSERVERS = ("nips", "feed", "spans", "energy", "arrivals")
 
 @pytest.mark.long
 @pytest.mark.usefixtures("loops_are_dear")
-@pytest.mark.parametrize("bars", [5, 120], ids=["dense", "elimination"])
+@pytest.mark.parametrize("bars", [5, pytest.param(120, marks=pytest.mark.slow)], ids=["dense", "elimination"])
 def test_products_keep_all_digits_everywhere(bars):
     """Accelerators take products of float32 in a third of their digits unless told otherwise: each equation is told."""
     scene = several(bars)

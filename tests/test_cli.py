@@ -428,7 +428,7 @@ def test_results_are_not_overwritten_without_force(tmp_path):
     assert (tmp_path / "data.npz").read_text() == "precious"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_steps_by_their_error(tmp_path):
     """`--tolerance` reaches the run, says so in the summary, and is refused where it makes no sense."""
     scene = tmp_path / "mini.toml"

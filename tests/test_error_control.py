@@ -282,7 +282,7 @@ def test_what_is_fed_does_not_depend_on_how_long_the_steps_are():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_steps_that_end_at_corners_go_along_with_them(standing, mode):
     """Of a pulse of a drive, a step or two long at this tolerance: what is fed by a later start, peak and end. With ends held
     fixed it is -1000, 500 and 879 by the first two of these steps. The sheet slips; what it does depends on steps by 5 %."""
@@ -305,7 +305,7 @@ def test_steps_that_end_at_corners_go_along_with_them(standing, mode):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("frames", [3, 8])
+@pytest.mark.parametrize("frames", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_where_a_frame_ends_at_a_corner_places_are_those_at_its_time(standing, frames):
     """Run up to 400 mm/s from 0 until a corner at 0.05 s, with a frame at that time and without: by a later one 200 mm/s less is
     fed in all, and until there: the way up to a given time goes as its square over the time of running up."""
@@ -374,7 +374,7 @@ def test_a_clamp_that_moves_later_is_later():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("together", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_corner_that_another_drive_shares_or_repeats(together):
     """Another drive has a shorter profile, whose last point is at the first corner of the pulse and stands there three times for
     the arrays. It counts once, and changes nothing where it moves along. Alone, half the step goes along: 6 % off by unlike
@@ -397,7 +397,7 @@ def test_a_corner_that_another_drive_shares_or_repeats(together):
     assert slope == pytest.approx(-500.0, abs=1e-6) if together else slope == pytest.approx(-562.5, abs=0.1)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::diffeed.SinglePrecision")
 def test_a_replay_that_loses_its_run_says_so():
     """In single precision the steps found are not always stepped again: what is differentiated then stood still."""

@@ -224,7 +224,7 @@ def test_a_start_from_a_rest_that_was_not_found(clamps):
     assert run.failure.describe() == f"at 0 s: {CAUSES[NO_REST]}"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_times_that_pass_each_other_in_a_batch():
     """Numbers that are traced are not refused: of three samples only the one whose stop comes before its start is impossible.
     Alike with chosen steps, for a drive and for a guide that moves."""
@@ -246,7 +246,7 @@ def test_times_that_pass_each_other_in_a_batch():
         assert int(runs.failure.part[1]) == -1
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_was_observed_of_energy_from_nowhere_is_taken_back():
     """Of the block of steps that is not believed: all is as in a run that ends where that block began."""
 
@@ -421,7 +421,7 @@ def test_a_guide_that_strikes_puts_energy_in(method):
     assert float(run.states.vy[-1, 0]) > 500.0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_driven_roller_puts_energy_in():
     """A sheet that a roller sets going gains energy from the shaft, not from nowhere."""
     rollers = {

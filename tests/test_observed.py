@@ -35,7 +35,7 @@ SCENES = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [pytest.param(k, marks=[pytest.mark.slow] * (k == "sticking")) for k in SCENES])
 @pytest.mark.parametrize("method", ["linear_euler", "runge_kutta"])
 def test_observers_see_what_a_full_look_shows(name: str, method: str):
     scene = normalise(SCENES[name])

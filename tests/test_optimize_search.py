@@ -77,7 +77,7 @@ def test_a_point_without_a_value_never_wins():
     assert min([replace(good, objective=np.nan), good, replace(good, violation=np.nan)], key=lambda s: s.rank) is good
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     problem, points = problem_of(), problem_of().start + np.array([[0.0], [0.1]])
     scored = [score(problem, point).objective for point in points]
@@ -88,7 +88,7 @@ def test_the_blame_of_another_point_compiles_nothing(monkeypatch):
     assert scored[0] != scored[1]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_when_sensitivity_arises_is_asked_of_the_whole_run(monkeypatch):
     """Of its frames, too: a margin begins where the run does."""
     problem, seen = problem_of(frames=7, objective={"spare": {"measure": "jam_margin", "of": "strip"}}), []

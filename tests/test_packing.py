@@ -66,7 +66,7 @@ def test_numbers_of_any_kind_may_be_traced(radius):
     assert (found.dtype, found.weak_type, float(found)) == (jnp.float64, False, 10.0)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_run_and_its_derivative_are_those_of_loose_numbers():
     """A roller with a profile and a guide that moves have arrays of their own, which stay loose. Two programs: what differs
     is rounding, grown over 20 steps."""

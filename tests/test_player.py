@@ -91,6 +91,7 @@ def test_a_failed_run_can_be_played():
     assert np.all(np.isfinite(list(held["limits"].values())))
 
 
+@pytest.mark.slow
 def test_a_long_run_stays_a_few_megabytes():
     scene = film_feeder(bars=200)
     assert len(page(scene, run(scene, frames=1000))) < 6e6
