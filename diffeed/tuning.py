@@ -18,8 +18,8 @@ WHOLE: Flags = (
     (EXTRA, f"{THRESHOLD}=1000000000"),
     ("xla_cpu_experimental_ynn_fusion_type", ""),  # a library's sums, which no such kernel can call
 )
-"""One kernel of a whole loop of steps, however long its arrays are: single runs take about half the time, a gradient takes longer
-to compile (`diffeed.base.one_kernel`, `python -m tests.one_kernel_cost`)."""
+"""One kernel of a whole run, however long its arrays are: single runs take about half the time or less, and longer to compile
+(`diffeed.base.one_kernel`, `python -m tests.one_kernel_cost`)."""
 QUICK = NO_EMITTERS + NO_UNROLLING + WHOLE
 """The first two compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
 alone in seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by

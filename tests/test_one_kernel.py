@@ -55,6 +55,9 @@ def test_so_are_their_derivatives_and_those_of_a_batch(loops):
     ours, known = of_squares(columns), of_squares(scattered)
     for derivative in (jax.grad, jax.jacfwd, jax.hessian):
         np.testing.assert_allclose(derivative(ours)(VALUES), derivative(known)(VALUES), rtol=1e-13)
+    for derivative in (jax.grad, jax.jacfwd):  # of some columns only
+        alone = derivative(lambda v: jnp.sum(jnp.stack(add_at(5, INDEX, [VALUES[:, 0], v])) ** 3))(VALUES[:, 1])
+        np.testing.assert_allclose(alone, derivative(lambda v: jnp.sum(scattered(v) ** 3))(VALUES)[:, 1], rtol=1e-13)
     values, index = jnp.stack([VALUES, 2.0 * VALUES]), jnp.stack([INDEX, INDEX[::-1]])
     for batched in (ours, jax.grad(ours)):
         alone = [batched(v, i) for v, i in zip(values, index, strict=True)]

@@ -60,10 +60,15 @@ def _of_a_batch(given: Sequence[Array], axes: Sequence[Any], *, count: int) -> t
     return many(*given), [0] * (len(given) - 1)
 
 
-def _moved(given: Sequence[Array], changes: Sequence[Any], *, count: int) -> tuple[list[Array], list[Array]]:
+def _moved(given: Sequence[Array], changes: Sequence[Any], *, count: int) -> tuple[list[Array], list[Any]]:
     index, *values = given
-    moved = [ad.instantiate_zeros(change) for change in changes[1:]]
-    return add_at(count, index, values), add_at(count, index, moved)
+    # What does not change is not summed.
+    moving = [change for change in changes[1:] if not isinstance(change, ad.Zero)]
+    sums, moved = add_at(count, index, values), iter(add_at(count, index, moving) if moving else [])
+    return sums, [
+        ad.Zero(ShapedArray((count,), value.dtype)) if isinstance(change, ad.Zero) else next(moved)
+        for value, change in zip(values, changes[1:], strict=True)
+    ]
 
 
 def _transposed(changes: Sequence[Any], index: Array, *values: Any, count: int) -> list[Any]:

@@ -43,7 +43,7 @@ class Border(NamedTuple):
     own: Array  # (border,) of each unknown
     mixed: Array  # (border,) with its twin
     twin: np.ndarray
-    rest: Callable[[], Array]  # (border, border) between rollers
+    rest: Callable[[], Array]  # (border, border) between rollers, of which the lower triangle is enough
     apart: Array | bool | None
 
     def matrix(self) -> Array:
