@@ -149,7 +149,7 @@ Exit status: 0 sound, 2 something is wrong.
 def check(scene: str, dt: float | None, method: str | None, assignments: tuple[str, ...]) -> None:
     """Say everything that is wrong with SCENE, or "sound"."""
     with stoppable():
-        set_up(float32=False)
+        set_up(float32=False, once=True)
         load_sound(scene, assignments, {}, dt, method)
     click.echo("sound")
 
@@ -212,7 +212,7 @@ def _run(ask: Request) -> int:
             refuse_overwriting(ask.out, kept)  # at once
         begun = time.perf_counter()
         earlier = read_run(ask.before) if ask.before else None
-        set_up(ask.float32)
+        set_up(ask.float32, once=True)
         changes = {} if ask.duration is None else {"duration": ask.duration}
         then = f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)"
         scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames, then)

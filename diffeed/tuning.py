@@ -18,14 +18,14 @@ WHOLE: Flags = (
     (EXTRA, f"{THRESHOLD}=1000000000"),
     ("xla_cpu_experimental_ynn_fusion_type", ""),  # a library's sums, which no such kernel can call
 )
-"""One kernel of a whole run, however long its arrays are: single runs take about half the time or less, and longer to compile
+"""One kernel of a whole run, however long its arrays are: a run takes a third to a half of the time, and twice as long to compile
 (`diffeed.base.one_kernel`, `python -m tests.one_kernel_cost`)."""
-QUICK = NO_EMITTERS + NO_UNROLLING + WHOLE
-"""The first two compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
+QUICK = NO_EMITTERS + NO_UNROLLING
+"""They compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
 alone in seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by
 side is found without unrolling."""
 BATCHED = NO_UNROLLING
-"""Takes longer to compile than `QUICK`, to batches by `jax.vmap` that run faster; `QUICK` and `jax.lax.map` are faster still."""
+"""Takes longer to compile than `QUICK`, to batches by `jax.vmap` that run faster; `WHOLE` and `jax.lax.map` are faster still."""
 FUSED: Flags = ((EXTRA, "xla_cpu_use_multi_output_fusion"),)
 """One loop makes several results: with jaxlib 0.12 batches and gradients gain by it, with 0.10 nothing that was measured. Not for
 every scene: up to jaxlib 0.10 the compiler goes on with some (those of `runge_kutta` among them) until the memory is full."""
@@ -54,6 +54,12 @@ def compile_quickly() -> None:
     _set_flags(QUICK)
 
 
+def compile_for_speed() -> None:
+    """Set `QUICK` and `WHOLE` likewise: for thousands of steps many times over, alone, by `jax.grad`, or one after the other by
+    `jax.lax.map`."""
+    _set_flags(QUICK + WHOLE)
+
+
 def compile_for_batches() -> None:
     """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs side by side, by
     `jax.vmap`."""
@@ -61,13 +67,13 @@ def compile_for_batches() -> None:
 
 
 def fuse_outputs() -> None:
-    """Set what compiles quickly and `FUSED` likewise, instead of `WHOLE`, which gains nothing beside it."""
-    _set_flags(NO_EMITTERS + NO_UNROLLING + FUSED)
+    """Set `QUICK` and `FUSED` likewise."""
+    _set_flags(QUICK + FUSED)
 
 
 def compile_plainly() -> None:
-    """Set what compiles quickly and `PLAIN` likewise, without `WHOLE`, which takes longer to compile."""
-    _set_flags(NO_EMITTERS + NO_UNROLLING + PLAIN)
+    """Set `QUICK` and `PLAIN` likewise."""
+    _set_flags(QUICK + PLAIN)
 
 
 def _jaxlib() -> Version:

@@ -237,7 +237,7 @@ def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", True)
-    (tuning.fuse_outputs if fuse else tuning.compile_quickly)()
+    (tuning.fuse_outputs if fuse else tuning.compile_for_speed)()
     tuning.use_one_core()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)

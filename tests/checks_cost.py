@@ -32,7 +32,7 @@ def without_checks():
 
 def main(where: str = "film_feeder", dt: str = "1e-4") -> None:
     jax.config.update("jax_enable_x64", True)
-    tuning.compile_quickly()
+    tuning.compile_for_speed()
     tuning.use_one_core()  # as the command line does
     scene = normalise(diffeed.load_scene(where))
     start = prepare(scene).state  # settling is no part of a step

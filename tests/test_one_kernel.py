@@ -123,7 +123,7 @@ PROGRAM = """
 import re
 import diffeed
 from diffeed import tuning
-tuning.compile_quickly()
+tuning.compile_for_speed()
 import jax
 from diffeed.input.parts import normalise
 from diffeed.run.examine import prepare

@@ -33,13 +33,13 @@ METHOD = click.option(
 )
 
 
-def set_up(float32: bool = False, keep: bool = True, alone: bool = True) -> None:
+def set_up(float32: bool = False, keep: bool = True, alone: bool = True, once: bool = False) -> None:
     """Settings of this process, before anything is compiled. `keep`: use compiled programs of earlier runs, and keep these.
-    `alone`: what is computed are single runs."""
+    `alone`: what is computed are single runs. `once`: and few of them, done sooner than they would be compiled to be faster."""
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
-    tuning.compile_quickly()
+    (tuning.compile_quickly if once else tuning.compile_for_speed)()
     if alone:
         tuning.use_one_core()
     if not keep:
