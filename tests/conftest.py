@@ -74,7 +74,7 @@ def loops_are_dear(monkeypatch):
 
 @pytest.fixture
 def loops_are_cheap(monkeypatch):
-    """Programs as the commands make them; the compiler itself is not told, for it reads its flags only once."""
+    """Programs as benchmarks and studies make them; the compiler itself is not told, for it reads its flags only once."""
     monkeypatch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} {THRESHOLD}")
     jax.clear_caches()
     yield

@@ -1,4 +1,4 @@
-"""Where loops are cheap: the same numbers by sums and loops, and a loop of steps that is one kernel."""
+"""Where loops are cheap: the same numbers by sums and loops, and a run that is one kernel."""
 
 import os
 import subprocess
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import diffeed
+from diffeed import tuning
 from diffeed.base.add_at import add_at, summed_at
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
@@ -141,6 +142,7 @@ assert re.search(f'ROOT %while[^\\n]*known_trip_count":{{{{"n":"{{blocks}}"', te
 """
 
 
+@pytest.mark.skipif(tuning._jaxlib() not in tuning.KNOWN[tuning.EXTRA], reason="this compiler takes no such flag")
 @pytest.mark.parametrize("method", ["linear_euler", pytest.param("midpoint", marks=pytest.mark.slow)])
 def test_a_run_is_one_kernel(method):
     """Of all its blocks of steps, with their searches: else a step calls a hundred, a search as many, and all takes twice as
