@@ -56,7 +56,7 @@ def _steps(make: Callable[[int], Scene]) -> Callable[[float], dict[str, Any]]:
 
 def _run(scene: Scene, dt: float, frames: int, fewest: int) -> dict[str, Any]:
     scene = normalise(scene)
-    counts = plan(float(scene.duration), dt, frames)
+    counts = plan(float(scene.duration), dt, frames, scene.crowded)
 
     def program(packed: Packed) -> Trajectory:  # as `simulate` calls it
         return _simulate.program(packed, float(scene.duration) / counts.total, None, counts, DEFAULT, ())

@@ -60,7 +60,7 @@ def explain_gradient(scene: Scene, duration: float | None = None, dt: float = 1e
     scene = checked(scene)
     duration = scene.duration if duration is None else duration
     refuse(duration, dt, 2, method, ())
-    steps = plan(duration, dt, 2).total
+    steps = plan(duration, dt, 2, scene.crowded).total
     states, bad, start = _walk(scene, duration / steps, steps, method)
     found = np.flatnonzero(np.asarray(bad))
     if not len(found):

@@ -72,7 +72,8 @@ def gradient_plan(
         raise ValueError(f"mode must be one of {', '.join(MODES)}, but is {mode!r}")
     scene = checked(scene)
     if tolerance is None:
-        counts = plan(scene.duration if duration is None else duration, STEP if dt is None else dt, frames)
+        duration, dt = scene.duration if duration is None else duration, STEP if dt is None else dt
+        counts = plan(duration, dt, frames, scene.crowded)
     else:
         counts = Plan(2, error_control.blocks(most_steps, frames - 1), error_control.BLOCK)
     chosen = mode if mode != "auto" else "forward" if count <= FEW else "reverse"

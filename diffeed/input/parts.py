@@ -302,7 +302,7 @@ class Scene:
     crowded: bool = word(
         default=False,
         doc="whether sheets fly to and fro between walls so close that they touch both within a millisecond or two: twice as"
-        " many contacts are kept at hand, and a step takes longer",
+        " many contacts are kept at hand and looked for twice as often, and a step takes longer",
         type=bool,
     )
     goal: str = word(default="", doc="sensor that the tail must pass for the run to count as passed; empty: none")

@@ -40,8 +40,8 @@ from diffeed.run import error_control
 from diffeed.run.progress import begin, recomputed, searched, taken
 from diffeed.steppers import DEFAULT, ESTIMATING, EXPLICIT, ORDERS, STEPPERS
 
-BLOCK = 32
-"""Most steps between two searches for candidates."""
+BLOCK, CROWDED_BLOCK = 32, 16
+"""Most steps between two searches for candidates; between close walls, where a sheet meets more bodies in as many steps, half."""
 LONG_BLOCK = 8
 """Length of a block beyond which a frame may get some steps more than asked for: few long ones stay as they are."""
 SEARCHED = 4e-3
@@ -65,13 +65,17 @@ class Plan(NamedTuple):
         return (self.frames - 1) * self.blocks * self.steps
 
 
-def plan(duration: float, dt: float, frames: int) -> Plan:
+def plan(duration: float, dt: float, frames: int, crowded: bool = False) -> Plan:
     """Counts for a run: a frame is a whole number of steps, so dt is shortened where frames do not divide the run."""
     per_frame = max(1, math.ceil(duration / (frames - 1) / dt - 1e-9))
-    return in_blocks(per_frame, frames, min(BLOCK, max(2, int(SEARCHED / dt + 1e-9))))
+    return in_blocks(per_frame, frames, min(longest_block(crowded), max(2, int(SEARCHED / dt + 1e-9))))
 
 
-def in_blocks(per_frame: int, frames: int, most: int = BLOCK) -> Plan:
+def longest_block(crowded: bool) -> int:
+    return CROWDED_BLOCK if crowded else BLOCK
+
+
+def in_blocks(per_frame: int, frames: int, most: int) -> Plan:
     """So many steps per frame, in equal blocks of at most `most`; of many steps a few more, if that makes the blocks longer."""
     least = most // 2 if most > LONG_BLOCK else 1
     whole = [k for k in range(most, least - 1, -1) if per_frame % k == 0]
@@ -118,7 +122,7 @@ def simulate(
     observe = tuple(sorted(set(observe)))
     scene = replace(scene, goal="")  # a word for those who judge a run: another one is no other program
     if tolerance is None:
-        counts = plan(duration, dt, frames)
+        counts = plan(duration, dt, frames, scene.crowded)
         return _simulate(scene, duration / counts.total, initial, counts, method, observe)
     refuse_control(tolerance, most_steps, frames, method)
     control = error_control.Control(frames - 1, int(most_steps), method, observe)
@@ -139,7 +143,8 @@ def _at_start(scene: Scene, observe: tuple[str, ...]) -> Resume:
 
 def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
     """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
-    return _simulate(normalise(scene), dt, start, in_blocks(steps, 2), method, ())
+    scene = normalise(scene)
+    return _simulate(scene, dt, start, in_blocks(steps, 2, longest_block(scene.crowded)), method, ())
 
 
 def refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
