@@ -211,8 +211,8 @@ def _run(ask: Request) -> int:
         if ask.out:
             refuse_overwriting(ask.out, kept)  # at once
         begun = time.perf_counter()
+        set_up(ask.float32, once=True)  # before a scene is read, which starts the compiler
         earlier = read_run(ask.before) if ask.before else None
-        set_up(ask.float32, once=True)
         changes = {} if ask.duration is None else {"duration": ask.duration}
         then = f"{ask.scene}: checking, settling at rest and compiling (takes longest the first time)"
         scene = load_sound(ask.scene, ask.assignments, changes, ask.dt, ask.method, ask.tolerance, ask.frames, then)

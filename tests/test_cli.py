@@ -123,10 +123,16 @@ def command(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 # --- real runs --------------------------------------------------------------------------------------------------------
 
 
+def compiled(place: Path) -> set[str]:
+    return {p.name for p in (place / "cache/diffeed/xla").glob("*-cache")}
+
+
+FIRST = ("--frames", "13", "--set", "rollers.drive.radius=10.05", "--set", "gravity[1]=-9800")
+
+
 @pytest.fixture(scope="module")
 def finished(place) -> subprocess.CompletedProcess[str]:
-    arguments = ("--frames", "13", "--set", "rollers.drive.radius=10.05", "--set", "gravity[1]=-9800")
-    return command(place, "run", "mini.toml", "--out", "results/first", *arguments)
+    return command(place, "run", "mini.toml", "--out", "results/first", *FIRST)
 
 
 def test_a_run_reports_its_verdict_first_in_plain_text_of_80_columns(finished):
@@ -159,16 +165,19 @@ def test_the_summary_says_what_was_run(finished, place):
     assert summary["run"]["steps"] == 600
     assert 4.0 < summary["rollers"]["pinch"]["force_mean"] < 6.0
     assert summary["sheets"]["strip"]["arrivals"]["exit"]["tail"] == pytest.approx(summary["verdict"]["time"])
-    assert (place / "cache/diffeed/xla").is_dir()
+    assert compiled(place)
 
 
 @pytest.mark.long
 def test_a_changed_machine_is_held_against_the_run_before(finished, place):
+    """Other numbers of the same parts: no program is compiled again."""
+    kept = compiled(place)
     done = command(
-        place, "run", "mini.toml", "--frames", "13", "--set", "rollers.pinch.preload=6", "--out", "results/second",
+        place, "run", "mini.toml", *FIRST, "--set", "rollers.pinch.preload=6", "--out", "results/second",
         "--before", "results/first",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    assert compiled(place) == kept
     told = done.stdout.split("what differs by more than 0.1 %\n")[1]
     (row,) = re.findall(r"^pinch: normal mean \(N\) +([\d.]+) +([\d.]+) +\+([\d.]+)$", told, re.M)
     old, new, change = map(float, row)
