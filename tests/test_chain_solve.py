@@ -100,7 +100,7 @@ def test_solution_is_that_of_the_constrained_system(monkeypatch, bars, columns, 
     system = random_system(layout, 7 * sum(bars) + columns, columns, clamps)
     monkeypatch.setattr(chain_solve, "DENSE_UP_TO", 10_000 if way is dense else 0)
     monkeypatch.setenv("XLA_FLAGS", THRESHOLD if loops == "cheap" else "")  # read while tracing only
-    found = chain_solve.solve(system, layout)
+    found = jax.jit(lambda: chain_solve.solve(system, layout))()
     flat = np.concatenate([np.stack([found.x, found.y, found.w], axis=1).ravel(), found.border, found.reaction])
     np.testing.assert_allclose(flat, constrained_solve(system, layout), rtol=1e-9, atol=1e-9)
 

@@ -304,8 +304,8 @@ def test_steps_that_end_at_corners_go_along_with_them(standing, mode):
     np.testing.assert_allclose(jax.jit(mode(fed))(corners), np.array([[-500.0, 0.0, 500.0]] * 2), atol=1e-6)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("frames", [3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [3, 8])
 def test_where_a_frame_ends_at_a_corner_places_are_those_at_its_time(standing, frames):
     """Run up to 400 mm/s from 0 until a corner at 0.05 s, with a frame at that time and without: by a later one 200 mm/s less is
     fed in all, and until there: the way up to a given time goes as its square over the time of running up."""
@@ -373,8 +373,8 @@ def test_a_clamp_that_moves_later_is_later():
     np.testing.assert_allclose(slopes, [0.0, 0.0, 0.0, -speed, -speed, 0.0, 0.0], atol=1e-3)  # a clamp is no spring
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("together", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("together", [True, False])
 def test_a_corner_that_another_drive_shares_or_repeats(together):
     """Another drive has a shorter profile, whose last point is at the first corner of the pulse and stands there three times for
     the arrays. It counts once, and changes nothing where it moves along. Alone, half the step goes along: 6 % off by unlike

@@ -99,7 +99,7 @@ def test_places_of_the_smallest(loops, n, count):
     "name",
     [
         "film_feeder",
-        pytest.param("long_path", marks=pytest.mark.long),
+        pytest.param("long_path", marks=pytest.mark.slow),
         pytest.param("gap_bridge", marks=pytest.mark.slow),
         pytest.param("jam_layout", marks=pytest.mark.slow),
     ],

@@ -170,7 +170,11 @@ def _without_joints(scene):
     return replace(scene, guides=scene.guides | {"turn": replace(turn, center=turn.center + jnp.array([0.1, -0.05]))})
 
 
-@every_case
+@pytest.mark.parametrize(
+    ("structure", "method", "seed"),
+    # Steps of another length are another program for each seed.
+    [pytest.param(s, m, k, marks=[pytest.mark.slow] if k else []) for s in STRUCTURES for m in METHODS for k in SEEDS],
+)
 def test_units_do_not_matter(structure, method, seed):
     scene = draw(structure, seed)
     scene = _without_joints(scene) if structure == "guided" else scene

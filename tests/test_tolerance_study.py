@@ -649,10 +649,13 @@ range = [-0.01, 0.01]
     assert "power of two" in bad.stderr
 
 
+ARRIVAL = {"measures": {"arrival": {"measure": "arrival", "at": "gate"}}, "limits": {}, "samples": 2}
+
+
 @pytest.mark.long
 def test_what_never_arrives_is_no_time():
     """Within 10 ms the strip is fed half a millimetre of the one to the gate: infinite, and counted apart."""
-    study = problem(measures={"arrival": {"measure": "arrival", "at": "gate"}}, limits={}, samples=2)
+    study = problem(**ARRIVAL)
     rows = run_study(study, here(study, 2))
     assert np.isinf(rows.values[:, 0]).all()
     found = summarise(study, rows)["measures"]["arrival"]
@@ -660,7 +663,12 @@ def test_what_never_arrives_is_no_time():
     text = io.StringIO()
     print_summary(Console(file=text, width=120), summarise(study, rows))
     assert "arrival: never in 2 of 2 samples; mean and std are of the others" in text.getvalue()
-    assert np.isnan(slopes(study, rows.deviation[:1]).samples).all()
+
+
+@pytest.mark.slow
+def test_what_never_arrives_has_no_slope_and_breaks_a_limit():
+    study = problem(**ARRIVAL)
+    assert np.isnan(slopes(study, drawn(study)[:1]).samples).all()
     late = problem(limits={"arrival": {"measure": "arrival", "at": "gate", "at_most": 0.005}})
     scene = sample_scene(late, 0)
     assert judged(late, scene, run_of(late, scene, rest_of(late))).endswith(

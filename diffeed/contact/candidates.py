@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from diffeed.base.batching import for_each
 from diffeed.base.smallest import smallest
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
@@ -215,8 +216,8 @@ def _list(
 def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Watched, Array]:
     """Places of the pairs whose gaps are soonest used up; all others, and how long they last."""
     chosen, others = _first_few((seen.gap / reach).ravel(), count)
-    rest = seen._replace(gap=seen.gap.ravel().at[chosen].set(jnp.inf).reshape(seen.gap.shape))
-    return chosen, rest, jnp.min(others)
+    left = jnp.where(jnp.isposinf(others), jnp.inf, seen.gap.ravel()).reshape(seen.gap.shape)
+    return chosen, seen._replace(gap=left), jnp.min(others)
 
 
 def _first_few(values: Array, count: int) -> tuple[Array, Array]:
@@ -232,8 +233,8 @@ def _partners(model: Model, world: Bodies, count: int) -> tuple[Array, Array]:
     partner, which = model.pairs_by_roller
     mine = np.broadcast_to(np.arange(len(partner))[:, None], partner.shape)
     gap = jnp.where(which < 0, jnp.inf, roller_gaps(model, world, (mine, partner))[3])
-    closest, index = lax.top_k(-gap, count + 1)
-    return index[:, :-1], -jnp.max(closest[:, -1])
+    nearest, others = for_each(lambda of_one: _first_few(of_one, count))(gap)
+    return nearest, jnp.min(others)
 
 
 def for_as_long_as_they_last(found: Candidates, span: Array) -> tuple[Candidates, Array]:
@@ -267,8 +268,8 @@ def _close_by(model: Model, world: Bodies, x: Array, y: Array) -> tuple[Close | 
 
 def _closest(cx: Array, cy: Array, radius: Array, x: Array, y: Array, thick: Array, count: int) -> Close:
     squared = jnp.min((cx[:, None] - x[None]) ** 2 + (cy[:, None] - y[None]) ** 2, axis=1)
-    closest, index = lax.top_k(-(jnp.sqrt(squared) - radius - thick), count + 1)
-    return Close(index[:-1], -closest[-1])
+    nearest, others = _first_few(jnp.sqrt(squared) - radius - thick, count)
+    return Close(nearest, jnp.min(others))
 
 
 def _fastest_node(model: Model, at: Pose) -> Array:
