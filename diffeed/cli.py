@@ -235,13 +235,13 @@ def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
         raise Refusal(f"the run that confirms this one takes shorter steps: {problem}; --once leaves it out")
 
 
-def _simulate(ask: Request, scene: "Scene", begun: float) -> Progress:
-    """Piece after piece, until the end, the first failure or Ctrl-C."""
+def _simulate(ask: Request, scene: "Scene", begun: float, shorter: int = 1) -> Progress:
+    """Piece after piece, until the end, the first failure or Ctrl-C. `shorter`: see `run_in_pieces`."""
     from diffeed.command.report import OBSERVE
     from diffeed.run.pieces import run_in_pieces
     from diffeed.steppers import DEFAULT
 
-    pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE, ask.tolerance)
+    pieces = run_in_pieces(scene, ask.dt, ask.frames, ask.method or DEFAULT, OBSERVE, ask.tolerance, shorter)
     progress = Progress(seconds=[begun])
     try:
         with _bar(scene.duration) as show:
@@ -292,7 +292,7 @@ def _confirm(
 ) -> "tuple[Confirmation | None, Trajectory | None]":
     """Run again with shorter steps, say how far the two are apart, and that run if it did not fail; None where Ctrl-C came before
     that was known: the first run is not lost by it."""
-    from diffeed.readings.agreement import confirm
+    from diffeed.readings.agreement import FINER, confirm
     from diffeed.readings.trajectory import join
     from diffeed.run.pieces import cut_at_failure
 
@@ -300,7 +300,10 @@ def _confirm(
         return None, None
     say(f"{ask.scene}: once more, with shorter steps (--once leaves that out)")
     try:
-        again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
+        if ask.tolerance is None:
+            again = _simulate(ask, scene, time.perf_counter(), FINER)
+        else:
+            again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
     except KeyboardInterrupt:
         interrupted.clear()
         again = Progress(stopped=True)

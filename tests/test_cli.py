@@ -165,7 +165,7 @@ def test_the_summary_says_what_was_run(finished, place):
     assert summary["run"]["steps"] == 600
     assert 4.0 < summary["rollers"]["pinch"]["force_mean"] < 6.0
     assert summary["sheets"]["strip"]["arrivals"]["exit"]["tail"] == pytest.approx(summary["verdict"]["time"])
-    assert compiled(place)
+    assert sum("simulate" in name for name in compiled(place)) == 1, "the finer run is of the same program"
 
 
 @pytest.mark.long
@@ -517,7 +517,16 @@ def test_all_pieces_are_one_program(tmp_path):
     before = _simulate.program._cache_size()
     found = list(pieces.run_in_pieces(scene, 1e-3, 4, "linear_euler", report.OBSERVE))
     assert len(found) == 3
+    finer = list(pieces.run_in_pieces(scene, 1e-3, 4, "linear_euler", report.OBSERVE, shorter=4))
     assert _simulate.program._cache_size() == before + 1
+    for one, other in zip(found, finer, strict=True):
+        np.testing.assert_allclose(other.time, one.time, rtol=1e-12)
+        assert float(other.dt) == pytest.approx(0.25 * float(one.dt))
+        assert int(other.steps) == 4 * int(one.steps)
+    whole = diffeed.simulate(scene, dt=2.5e-4, frames=4)
+    np.testing.assert_allclose(
+        np.concatenate([p.sheets["strip"].nodes[1:] for p in finer]), whole.sheets["strip"].nodes[1:], atol=1e-7
+    )
 
 
 def test_without_a_place_for_a_cache_the_run_goes_on(tmp_path, monkeypatch):

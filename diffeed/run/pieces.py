@@ -11,10 +11,10 @@ from diffeed.chain.state import State
 from diffeed.input.packing import jit_of_scene
 from diffeed.input.parts import Scene, normalise
 from diffeed.model.arrays import Model
-from diffeed.readings.trajectory import FRAMED, Resume, Trajectory
+from diffeed.readings.trajectory import FRAMED, Resume, Trajectory, join
 from diffeed.run.examine import prepare
 from diffeed.run.progress import begin
-from diffeed.run.rollout import simulate
+from diffeed.run.rollout import STEP, go_on, plan, simulate
 
 PIECES = 20
 MOST_STEPS = 200_000
@@ -35,20 +35,34 @@ def run_in_pieces(
     method: str,
     observe: tuple[str, ...],
     tolerance: float | None = None,
+    shorter: int = 1,
 ) -> Iterator[Trajectory]:
-    """Pieces that `diffeed.readings.trajectory.join` makes one run of: the steps are those of a single `simulate`.
+    """Pieces that `diffeed.readings.trajectory.join` makes one run of: the steps are those of a single `simulate`. With equal
+    steps so many times `shorter` they are of the same program, which then makes pieces of as much less time.
 
     Ends after the piece in which the run fails. The scene must have passed `diffeed.check`.
     """
     scene = normalise(scene)
     count = count_pieces(frames)
+    seconds, inside = scene.duration / count, (frames - 1) // count + 1
+    counts = plan(seconds, dt or STEP, inside, scene.crowded) if tolerance is None else None
+
+    def piece_from(resume: Resume) -> Trajectory:
+        if counts is None:
+            return simulate(
+                scene, seconds, dt, inside, method,
+                initial=resume, observe=observe, tolerance=tolerance, most_steps=MOST_STEPS,
+            )  # fmt: skip
+        made: list[Trajectory] = []
+        while len(made) < shorter and (not made or made[-1].ok):
+            start = made[-1].final if made else resume
+            made.append(go_on(scene, start, seconds / counts.total / shorter, counts, method, observe))
+        return made[0] if shorter == 1 else _with_frames(join(made), slice(None, None, shorter))
+
     start = prepare(scene)
     resume = _start(scene, start.model, start.state, tuple(sorted(observe)))
     for _ in range(count):
-        piece = simulate(
-            scene, scene.duration / count, dt, (frames - 1) // count + 1, method,
-            initial=resume, observe=observe, tolerance=tolerance, most_steps=MOST_STEPS,
-        )  # fmt: skip
+        piece = piece_from(resume)
         resume = piece.final
         yield jax.block_until_ready(piece)
         if not piece.ok:
@@ -58,10 +72,11 @@ def run_in_pieces(
 def cut_at_failure(trajectory: Trajectory) -> Trajectory:
     """Only frames in which time went on: a failed run stands still at its last good state."""
     time = np.asarray(trajectory.time, dtype=float)
-    count = 1 + int(np.argmin(np.append(time[1:] > time[:-1], False)))
-    return replace(
-        trajectory, **{name: jax.tree.map(lambda v: v[:count], getattr(trajectory, name)) for name in FRAMED}
-    )
+    return _with_frames(trajectory, slice(1 + int(np.argmin(np.append(time[1:] > time[:-1], False)))))
+
+
+def _with_frames(trajectory: Trajectory, which: slice) -> Trajectory:
+    return replace(trajectory, **{name: jax.tree.map(lambda v: v[which], getattr(trajectory, name)) for name in FRAMED})
 
 
 @jit_of_scene(static_argnames=("observe",))

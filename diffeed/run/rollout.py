@@ -141,10 +141,14 @@ def _at_start(scene: Scene, observe: tuple[str, ...]) -> Resume:
     return begin(model, scene, None, observe)
 
 
-def go_on(scene: Scene, start: Resume, dt: Any, steps: int, method: str = DEFAULT) -> Trajectory:
-    """So many more steps from where a run stopped; their length may be traced: one program serves all lengths."""
-    scene = normalise(scene)
-    return _simulate(scene, dt, start, in_blocks(steps, 2, longest_block(scene.crowded)), method, ())
+def go_on(
+    scene: Scene, start: Resume, dt: Any, steps: int | Plan, method: str = DEFAULT, observe: tuple[str, ...] = ()
+) -> Trajectory:
+    """So many more steps from where a run stopped, or as many as are planned; their length may be traced: one program serves all
+    lengths."""
+    scene = replace(normalise(scene), goal="")
+    counts = steps if isinstance(steps, Plan) else in_blocks(steps, 2, longest_block(scene.crowded))
+    return _simulate(scene, dt, start, counts, method, tuple(sorted(observe)))
 
 
 def refuse(duration: float, dt: float, frames: int, method: str, observe: tuple[str, ...]) -> None:
