@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import diffeed
+from diffeed.base.factor import SMALL
 from diffeed.base.one_kernel import THRESHOLD
 from diffeed.bench.jaxprs import operations
 from diffeed.chain import dense, elimination
@@ -125,6 +126,23 @@ def test_rollers_apart_are_eliminated_one_by_one(monkeypatch, clamps):
     known = chain_solve.solve(system._replace(border=border._replace(apart=True)), layout)
     for a, b in zip(known, apart, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.usefixtures("loops_are_cheap")
+@pytest.mark.parametrize("many", [True, False])
+def test_rollers_too_many_for_loops_are_eliminated_before_the_bars(monkeypatch, many):
+    layout = Layout(("a", "b"), (4, 3))
+    count = SMALL + 1 if many else SMALL
+    system = random_system(layout, 5, count, 0)
+    own, none = jnp.diagonal(system.border.matrix()), jnp.zeros((count, count))
+    border = system.border._replace(own=own, mixed=0.0 * own, rest=lambda: none, apart=True)
+    system, asked = system._replace(border=border), []
+    monkeypatch.setattr(dense, "respond", lambda *given, way=dense.respond: asked.append("matrix") or way(*given))
+    found = chain_solve.solve(system, layout)
+    assert asked == ["matrix"] * many
+    other = elimination.respond(system, layout, jnp.stack(system.bars[6:9])[None], border.rhs[None])
+    for one, two in zip(found[:4], other, strict=True):
+        np.testing.assert_allclose(one, two[0], rtol=1e-9, atol=1e-12)
 
 
 def test_rollers_that_never_meet_cost_no_choice():

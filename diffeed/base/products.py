@@ -8,8 +8,9 @@ from diffeed.base.one_kernel import loops_are_cheap
 ALL_DIGITS = lax.Precision.HIGHEST
 """Left to themselves, accelerators take float32 products in a third of their digits: seen on a GPU, it puts a sheet 2.6e-3 mm off
 after 10 ms of the film feeder, where all digits leave 1.5e-5."""
-SMALL = 4096
-"""Products of numbers up to which they are summed in loops, where those are cheap."""
+SMALL = 1 << 15
+"""Products of numbers up to which they are summed in loops, where those are cheap: a call of the library, which no kernel of a
+whole run may have, takes as long (measured with up to 500 bars)."""
 
 
 def product(a: Array, b: Array) -> Array:
