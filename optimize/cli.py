@@ -119,7 +119,7 @@ def check(study: str, fuse: bool, out: Path | None, force: bool, samples: int) -
     Example:
       python -m optimize check nip_slip
     """
-    problem = _problem(study, fuse, {})
+    problem = _problem(study, fuse, {}, many=True)
     from optimize.trust import FILES, check_study, write_check
 
     with refusing(OutputError), publishing(out, FILES, force) as draft:
@@ -147,7 +147,7 @@ def compare(study: str, fuse: bool, out: Path | None, force: bool, budget: int) 
     Example:
       python -m optimize compare nip_slip --budget 500
     """
-    problem = _problem(study, fuse, {})
+    problem = _problem(study, fuse, {}, many=True)
     from optimize.compare import FILES, table, write_comparison
     from optimize.compare import compare as run
 
@@ -231,13 +231,15 @@ def _changes(iterations: int | None, seconds: float | None) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _problem(where: str, fuse: bool, changes: dict[str, Any]) -> Any:
+def _problem(where: str, fuse: bool, changes: dict[str, Any], many: bool = False) -> Any:
+    """The problem of a study. `many`: hundreds of runs and gradients are to come, for which compiling may take longer; a search
+    is over after a few dozen."""
     import jax
 
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", True)
-    (tuning.fuse_outputs if fuse else tuning.compile_for_speed)()
+    (tuning.fuse_outputs if fuse else tuning.compile_for_speed if many else tuning.compile_quickly)()
     tuning.use_one_core()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)
