@@ -35,7 +35,7 @@ PLAIN: Flags = (("xla_backend_optimization_level", "0"),)
 KNOWN: dict[str, tuple[Version, ...]] = {
     "xla_cpu_use_fusion_emitters": ((0, 8), (0, 9), (0, 10)),
     EXTRA: ((0, 8), (0, 9), (0, 10), (0, 12)),  # ends the process in 0.11
-    "xla_cpu_experimental_ynn_fusion_type": ((0, 12),),
+    "xla_cpu_experimental_ynn_fusion_type": ((0, 10), (0, 12)),
     "xla_backend_optimization_level": ((0, 8), (0, 9), (0, 10), (0, 11), (0, 12)),
 }
 """Versions of jaxlib that are known to take a flag: one that the compiler does not know ends the process."""
