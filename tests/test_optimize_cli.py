@@ -173,7 +173,7 @@ def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch, command, run
     def fill(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("optimize.cli._problem", lambda *_: None)
+    monkeypatch.setattr("optimize.cli._problem", lambda *_, **__: None)
     monkeypatch.setattr(f"optimize.{run}", lambda *_: "found")
     monkeypatch.setattr("optimize.compare.table", str)
     monkeypatch.setattr(f"optimize.{write}", fill)

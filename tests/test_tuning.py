@@ -9,6 +9,8 @@ import pytest
 
 from diffeed import tuning
 
+SUMS = "--xla_cpu_experimental_ynn_fusion_type="
+
 
 @pytest.fixture
 def flags(monkeypatch):
@@ -27,16 +29,17 @@ def test_flags_are_added_to_those_given(flags):
     quick = ["--xla_cpu_use_fusion_emitters=false", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling"]
     whole = "xla_cpu_small_while_loop_byte_threshold=1000000000"
     assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", *quick]
-    assert flags(tuning.compile_for_speed, "") == [quick[0], f"{quick[1]},{whole}"]
+    assert flags(tuning.compile_for_speed, "") == [quick[0], f"{quick[1]},{whole}", SUMS]
     assert flags(tuning.compile_for_batches, "") == quick[1:]
     assert flags(tuning.fuse_outputs, "") == [quick[0], quick[1] + ",xla_cpu_use_multi_output_fusion"]
 
 
 def test_what_the_user_set_stays(flags):
     emitters, extra = "--xla_cpu_use_fusion_emitters=true", "--xla_backend_extra_options=xla_foo"
-    for call in (tuning.compile_quickly, tuning.compile_for_speed, tuning.fuse_outputs):
-        assert flags(call, f"{emitters} {extra}") == [emitters, extra]
-        assert flags(call, extra) == [extra, "--xla_cpu_use_fusion_emitters=false"]
+    for call, more in ((tuning.compile_quickly, []), (tuning.compile_for_speed, [SUMS]), (tuning.fuse_outputs, [])):
+        assert flags(call, f"{emitters} {extra}") == [emitters, extra, *more]
+        assert flags(call, extra) == [extra, "--xla_cpu_use_fusion_emitters=false", *more]
+    assert flags(tuning.compile_for_speed, f"{emitters} {extra} {SUMS}dot") == [emitters, extra, f"{SUMS}dot"]
 
 
 @pytest.mark.parametrize(("before", "after"), [(700, tuning.GARBAGE), (10**6, 10**6), (0, 0)])
