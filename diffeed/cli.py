@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +49,6 @@ class Request:
     force: bool
     float32: bool
     confirm: bool
-
-    def finer(self, dt: float) -> "Request":
-        """The same with shorter steps than this length, or a smaller tolerance."""
-        from diffeed.readings.agreement import finer
-
-        return replace(self, **finer(dt, self.tolerance))
 
 
 @dataclass
@@ -228,9 +222,10 @@ def _run(ask: Request) -> int:
 
 def _refuse_too_fine(ask: Request, scene: "Scene") -> None:
     from diffeed.base.limits import run_problem, scene_size
+    from diffeed.readings.agreement import finer
     from diffeed.run.rollout import STEP
 
-    steps = ask.finer(ask.dt or STEP).dt if ask.tolerance is None else None
+    steps = finer(ask.dt or STEP)["dt"] if ask.tolerance is None else None
     if problem := run_problem(scene.duration, steps, ask.frames, scene_size(scene)):
         raise Refusal(f"the run that confirms this one takes shorter steps: {problem}; --once leaves it out")
 
@@ -300,10 +295,7 @@ def _confirm(
         return None, None
     say(f"{ask.scene}: once more, with shorter steps (--once leaves that out)")
     try:
-        if ask.tolerance is None:
-            again = _simulate(ask, scene, time.perf_counter(), FINER)
-        else:
-            again = _simulate(ask.finer(float(trajectory.dt)), scene, time.perf_counter())
+        again = _simulate(ask, scene, time.perf_counter(), FINER)
     except KeyboardInterrupt:
         interrupted.clear()
         again = Progress(stopped=True)

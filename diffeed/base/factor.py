@@ -8,7 +8,7 @@ from diffeed.base.one_kernel import loops_are_cheap
 
 SMALL = 32
 """Rows up to which loops, where they are cheap, beat a call of the library, which no kernel of a whole run may have: 27 rows take
-half of the time, 57 rows twice as much (measured with drives with movable pinches)."""
+half of the time, 57 rows twice as much (`diffeed bench growth`: movable pinches)."""
 
 
 def factor(matrix: Array) -> Array:

@@ -35,11 +35,10 @@ def solve(system: System, layout: Layout) -> Solution:
 
 def _as_matrix(system: System, layout: Layout) -> bool:
     """Where loops are cheap only if so many rollers travel or turn freely that they are better eliminated before the bars, each
-    by itself: with 148 movable pinches that takes a twentieth of the time."""
-    if layout.n_bars > DENSE_UP_TO or not loops_are_cheap():
-        return layout.n_bars <= DENSE_UP_TO
+    by itself: with 148 movable pinches that takes a twentieth of the time (`diffeed bench growth`)."""
     beside = system.border
-    return beside is not None and beside.apart is not None and beside.rhs.shape[0] > SMALL
+    many = beside is not None and beside.apart is not None and beside.rhs.shape[0] > SMALL
+    return layout.n_bars <= DENSE_UP_TO and (many or not loops_are_cheap())
 
 
 def net_joint_force(system: System, solution: Solution) -> tuple[Array, Array]:

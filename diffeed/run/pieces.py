@@ -37,27 +37,27 @@ def run_in_pieces(
     tolerance: float | None = None,
     shorter: int = 1,
 ) -> Iterator[Trajectory]:
-    """Pieces that `diffeed.readings.trajectory.join` makes one run of: the steps are those of a single `simulate`. With equal
-    steps so many times `shorter` they are of the same program, which then makes pieces of as much less time.
+    """Pieces that `diffeed.readings.trajectory.join` makes one run of: the steps are those of a single `simulate`.
+    By the same program so many times `shorter` steps are taken, or a tolerance is as much smaller.
 
     Ends after the piece in which the run fails. The scene must have passed `diffeed.check`.
     """
     scene = normalise(scene)
     count = count_pieces(frames)
     seconds, inside = scene.duration / count, (frames - 1) // count + 1
-    counts = plan(seconds, dt or STEP, inside, scene.crowded) if tolerance is None else None
+    counts = plan(seconds, dt or STEP, inside, scene.crowded)
 
     def piece_from(resume: Resume) -> Trajectory:
-        if counts is None:
+        if tolerance is not None:
             return simulate(
                 scene, seconds, dt, inside, method,
-                initial=resume, observe=observe, tolerance=tolerance, most_steps=MOST_STEPS,
+                initial=resume, observe=observe, tolerance=tolerance / shorter, most_steps=MOST_STEPS,
             )  # fmt: skip
         made: list[Trajectory] = []
         while len(made) < shorter and (not made or made[-1].ok):
             start = made[-1].final if made else resume
             made.append(go_on(scene, start, seconds / counts.total / shorter, counts, method, observe))
-        return made[0] if shorter == 1 else _with_frames(join(made), slice(None, None, shorter))
+        return _with_frames(join(made), slice(None, None, shorter))
 
     start = prepare(scene)
     resume = _start(scene, start.model, start.state, tuple(sorted(observe)))
