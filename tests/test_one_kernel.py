@@ -11,7 +11,7 @@ import pytest
 
 import diffeed
 from diffeed import tuning
-from diffeed.base.add_at import add_at, summed_at
+from diffeed.base.places import add_at, summed_at
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.products import product

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.add_at import add_at
+from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.chain.kinematics import Pose, from_nodes, pieces_to_bars
 from diffeed.model.arrays import Model
 
@@ -67,7 +67,7 @@ def own(model: Model) -> tuple[Own, ...]:
 
 def listed(model: Model, feature: Array) -> Listed:
     """Pairs of the given features."""
-    bars = tuple(jnp.asarray(of_feature)[feature] for of_feature in _bars_of_features(model))
+    bars = tuple(at_places(jnp.asarray(of_feature, PLACE), feature) for of_feature in _bars_of_features(model))
     return Listed(feature, bars, jax.tree.map(lambda v: v[0, feature], own(model)))
 
 
@@ -102,7 +102,7 @@ def _with_neighbours(at: Pose) -> Array:
 def laid_out(model: Model, values: Array, pairs: Listed | None = None) -> list[list[Array]]:
     """Values of bars, (k, bars) -> k of (1, features), or (pairs,): for every bar that a feature hangs on."""
     if pairs is not None:
-        return [list(values[:, bar]) for bar in pairs.bars]
+        return [list(at_places(values, bar)) for bar in pairs.bars]
     return [[v[None, :] for v in values[:, bar]] for bar in _bars_of_features(model)]
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.add_at import add_at, summed_at
+from diffeed.base.places import PLACE, add_at, at_places, summed_at
 from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
@@ -54,12 +54,12 @@ class Kept(NamedTuple):
 
 def pick(values: Array, index: Array | None) -> Array:
     """(bodies,) -> (bodies, 1), or of the shape of the index."""
-    return values[:, None] if index is None else values[index]
+    return values[:, None] if index is None else at_places(values, index)
 
 
 def picked(values: tuple[Array, ...], index: Array | None) -> tuple[Array, ...]:
     """`pick` for several at once: one gather instead of many."""
-    return tuple(v[:, None] for v in values) if index is None else tuple(jnp.stack(values)[:, index])
+    return tuple(v[:, None] for v in values) if index is None else tuple(at_places(jnp.stack(values), index))
 
 
 def kept_guides(guides: Guides, index: Array | None) -> Guides:
@@ -116,6 +116,7 @@ def keep(
 ) -> Kept:
     """The bodies of the given indices, (bodies, 1) each against every feature, or with a `feature` for each, (pairs,); and of
     each movable roller the given partners."""
+    circles, guides, feature = (v if v is None else v.astype(PLACE) for v in (circles, guides, feature))
     rollers, n = model.rollers, len(model.circle_names)
     still = jnp.zeros((n - rollers.n_movable,))
     levers = jnp.zeros((n,)).at[rollers.free].set(rollers.radius[rollers.free])
@@ -162,9 +163,9 @@ def by_circle(
     if loops_are_cheap():
         # All kinds of each circle that is asked for, in a last place of all others.
         asked, slot = np.unique(which, return_inverse=True)
-        place = np.full((len(model.circle_names),), len(asked), np.int32)
+        place = np.full((len(model.circle_names),), len(asked), PLACE)
         place[asked] = np.arange(len(asked))
-        at = jnp.asarray(place)[kept.circle_index] * n_features + feature
+        at = at_places(jnp.asarray(place), kept.circle_index) * n_features + feature
         found = add_at((len(asked) + 1) * n_features, at, [v for each in values for v in each])
         # What stands together there and is of one kind is taken at once: of travels, then of spins.
         starts = np.flatnonzero((np.diff(slot, prepend=-2) != 1) | (np.diff(kinds, prepend=-1) != 0))
@@ -176,10 +177,10 @@ def by_circle(
     # Where each circle belongs by each kind, in a last place what is not asked for.
     place = np.full((n_kinds, len(model.circle_names)), len(which))
     place[kinds, which] = np.arange(len(which))
-    at = jnp.asarray(place, jnp.int32)[:, kept.circle_index].ravel()
+    at = jnp.asarray(place, PLACE)[:, kept.circle_index].ravel()
     feature, places = jnp.tile(feature, n_kinds), len(which) + 1
     # One value after the other, for of values side by side, as in `by_feature`, each would be computed in every place.
-    start = places * np.arange(len(values), dtype=np.int32)[:, None]
+    start = places * np.arange(len(values), dtype=PLACE)[:, None]
     found = jnp.zeros((len(values) * places * n_features,), rows[0].dtype)
     found = found.at[((start + at[None]) * n_features + feature[None]).ravel()].add(
         jnp.concatenate(rows), mode="promise_in_bounds"
@@ -214,5 +215,5 @@ def by_contact(model: Model, kept: Kept, values: Array) -> Array:
     if kept.pairs is None:
         own = jnp.asarray(layout.sheet_of_feature, values.dtype)
         return product(product(values, own), own.T)
-    contact = _body_of_pairs(model, kept) * len(layout.bars) + jnp.asarray(layout.owner_of_feature)[kept.pairs.feature]
-    return summed_at(len(model.body_names) * len(layout.bars), contact, values)[:, contact]
+    contact = _body_of_pairs(model, kept) * len(layout.bars) + at_places(jnp.asarray(layout.owner_of_feature, PLACE), kept.pairs.feature)
+    return at_places(summed_at(len(model.body_names) * len(layout.bars), contact, values), contact)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.places import at_places
 from diffeed.contact.bodies import Bodies, Rigid
 from diffeed.contact.kept import Kept
 from diffeed.model.arrays import Model
@@ -30,7 +31,7 @@ def roller_gaps(model: Model, world: Bodies, index: tuple[Any, Any]) -> tuple[Ri
     """Motions of the two rollers of pairs, where they are nearest, and their gap: of the shape of the index."""
     i, j = index
     radius, count = model.rollers.radius, i.shape[0]
-    both = jnp.stack([v[: model.rollers.n] for v in world.circles])[:, _joined(i, j)]
+    both = at_places(jnp.stack([v[: model.rollers.n] for v in world.circles]), _joined(i, j))
     a, b = Rigid(*both[:, :count]), Rigid(*both[:, count:])
     near = point_circle(a.x, a.y, b.x, b.y, radius[j])
     return a, b, near, near.gap - radius[i]

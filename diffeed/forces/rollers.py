@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.add_at import add_at
+from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.base.batching import any_of_batch
 from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.products import product
@@ -168,12 +168,13 @@ def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Ar
         meet &= place[unknown][:, None] >= place[unknown][None]  # the lower triangle is enough
     first, second = (unknown[k] for k in np.nonzero(meet))
     pair, one = unknown % count, first % count
-    rhs = f_n[pair] * gn[unknown] + f_t[pair] * gt[unknown]
-    rhs = add_at(n, jnp.asarray(place[unknown], jnp.int32), [rhs])[0][:-1]
+    rhs = at_places(f_n, pair) * at_places(gn, unknown) + at_places(f_t, pair) * at_places(gt, unknown)
+    rhs = add_at(n, jnp.asarray(place[unknown], PLACE), [rhs])[0][:-1]
     if not step.implicit:
         return jnp.zeros((m + f, m + f)), rhs
-    both = a_n[one] * gn[first] * gn[second] + a_t[one] * gt[first] * gt[second]
-    at = jnp.asarray(place[first] * n + place[second], jnp.int32)
+    both = at_places(a_n, one) * at_places(gn, first) * at_places(gn, second)
+    both = both + at_places(a_t, one) * at_places(gt, first) * at_places(gt, second)
+    at = jnp.asarray(place[first] * n + place[second], PLACE)
     full = add_at(n * n, at, [both])[0].reshape(n, n)
     return full[:-1, :-1], rhs
 

@@ -1,7 +1,7 @@
-"""Values summed at places that are found only in the run, as a loop where loops are cheap.
+"""Values taken from and summed at places that are found only in the run.
 
-A primitive of its own, for a batch takes another way than one sample: there a loop over values at places of each sample's own
-would be a loop of scatters, and one scatter is cheaper.
+They are summed in a loop where loops are cheap: a primitive of its own, for a batch takes another way than one sample. There a loop
+over values at places of each sample's own would be a loop of scatters, and one scatter is cheaper.
 """
 
 from collections.abc import Sequence
@@ -9,12 +9,25 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from diffeed.base.one_kernel import loops_are_cheap
+
+PLACE = np.uint32
+"""What places are counted in: of those without a sign the compiler need not ask whether they lie below 0, each time that it takes
+one, and half of a loop over places is such questions."""
+
+
+def at_places(values: Array, index: Array | np.ndarray) -> Array:
+    """(..., n) and places below n of any shape -> (..., *shape). By `values[..., index]` places would get a sign."""
+    before, count = values.shape[:-1], values.ndim - 1
+    of_last = lax.GatherDimensionNumbers(tuple(range(count)), collapsed_slice_dims=(count,), start_index_map=(count,))
+    start, mode = jnp.asarray(index, PLACE)[..., None], lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return lax.gather(values, start, of_last, (*before, 1), mode=mode)
 
 
 def add_at(count: int, index: Array, values: Sequence[Array]) -> list[Array]:
