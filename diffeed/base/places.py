@@ -49,19 +49,21 @@ def _scattered(index: Array, *values: Array, count: int) -> list[Array]:
 
 
 def _in_a_loop(index: Array, *values: Array, count: int) -> list[Array]:
-    """Each in an array of its own: nothing is joined before, nor taken apart after."""
+    """The sums in one array: each array that a loop carries is named anew in every turn of it."""
 
-    def one(sums: tuple[Array, ...], row: tuple[Array, tuple[Array, ...]]) -> tuple[tuple[Array, ...], None]:
-        place, values = row
-        olds = [lax.dynamic_index_in_dim(sum_, place, keepdims=False) for sum_ in sums]
-        news = [
-            lax.dynamic_update_index_in_dim(sum_, old + value, place, 0)
-            for sum_, old, value in zip(sums, olds, values, strict=True)
-        ]
-        return tuple(news), None
+    rows = jnp.stack(values)
 
-    nothing = tuple(jnp.zeros((count,), v.dtype) for v in values)
-    return list(lax.scan(one, nothing, (index, values))[0])
+    def one(sums: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
+        i, place = row
+        for k in range(len(values)):
+            at, of = (PLACE(k), place.astype(PLACE)), (PLACE(k), i)
+            sums = lax.dynamic_update_slice(
+                sums, lax.dynamic_slice(sums, at, (1, 1)) + lax.dynamic_slice(rows, of, (1, 1)), at
+            )
+        return sums, None
+
+    nothing = jnp.zeros((len(values), count), values[0].dtype)
+    return list(lax.scan(one, nothing, (np.arange(index.shape[0], dtype=PLACE), index))[0])
 
 
 def _either(index: Array, *values: Array, count: int) -> list[Array]:
