@@ -11,9 +11,9 @@ import pytest
 
 import diffeed
 from diffeed import tuning
-from diffeed.base.places import add_at, summed_at
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.places import add_at, summed_at
 from diffeed.base.products import product
 from diffeed.base.smallest import smallest
 from diffeed.base.smooth import solve_positive

@@ -21,7 +21,8 @@ def test_of_a_batch_each_sample_has_its_own():
     of_each = jax.vmap(lambda v: (*totals(v, v < -1.5), *largest(v)))(batch)
     np.testing.assert_allclose(of_each[0], np.sum(batch, axis=(1, 2)), rtol=1e-12)
     np.testing.assert_array_equal(of_each[1], [False, True])
-    np.testing.assert_array_equal(of_each[2], np.max(batch, axis=(1, 2)))
+    np.testing.assert_array_equal(of_each[2], np.max(np.abs(batch), axis=(1, 2)))
+    assert -float(jnp.min(batch)) > float(jnp.max(batch))  # so that the sign counts
 
 
 def test_what_is_no_number_is_not_lost():

@@ -5,6 +5,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.places import PLACE
 
 SMALL = 32
 """Rows up to which loops, where they are cheap, beat a call of the library, which no kernel of a whole run may have: 27 rows take
@@ -27,14 +28,14 @@ def solve_triangular(lower: Array, right: Array, transposed: bool = False) -> Ar
 
 def _in_a_loop(matrix: Array) -> Array:
     """Column by column: each takes its square from all that is behind it."""
-    place = np.arange(matrix.shape[0], dtype=np.int32)
 
     def column(left: Array, j: Array) -> tuple[Array, Array]:
         own = lax.dynamic_index_in_dim(left, j, axis=1, keepdims=False)
-        own = jnp.where(place >= j, own, 0.0) / jnp.sqrt(lax.dynamic_index_in_dim(own, j, keepdims=False))
+        own = own / jnp.sqrt(lax.dynamic_index_in_dim(own, j, keepdims=False))
         return left - own[:, None] * own[None, :], own
 
-    return lax.scan(column, matrix, jnp.asarray(place))[1].T
+    # What stands above in a column changes nothing below it, and is left out at the end: in each turn that would take longer.
+    return jnp.tril(lax.scan(column, matrix, np.arange(matrix.shape[0], dtype=PLACE))[1].T)
 
 
 def _row_by_row(lower: Array, right: Array, transposed: bool) -> Array:
@@ -45,5 +46,5 @@ def _row_by_row(lower: Array, right: Array, transposed: bool) -> Array:
         x = lax.dynamic_index_in_dim(left, j, keepdims=False) / lax.dynamic_index_in_dim(has, j, keepdims=False)
         return left - has[:, None] * x[None, :], x
 
-    place = jnp.arange(lower.shape[0], dtype=jnp.int32)
+    place = np.arange(lower.shape[0], dtype=PLACE)
     return lax.scan(unknown, right, (place, columns), reverse=transposed)[1]

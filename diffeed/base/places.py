@@ -1,7 +1,7 @@
 """Values taken from and summed at places that are found only in the run.
 
-They are summed in a loop where loops are cheap: a primitive of its own, for a batch takes another way than one sample. There a loop
-over values at places of each sample's own would be a loop of scatters, and one scatter is cheaper.
+They are summed in a loop where loops are cheap: a primitive of its own, for a batch takes another way than one sample. There a
+loop over values at places of each sample's own would be a loop of scatters, and one scatter is cheaper.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def at_places(values: Array, index: Array | np.ndarray) -> Array:
 
 def add_at(count: int, index: Array, values: Sequence[Array]) -> list[Array]:
     """(rows,) places below `count` and several (rows,) -> (count,) of each: at each place the sum of its rows."""
-    return _add_at.bind(index, *values, count=count)
+    return _add_at.bind(index.astype(PLACE), *values, count=count)
 
 
 def summed_at(count: int, index: Array, values: Array) -> Array:
@@ -49,17 +49,14 @@ def _scattered(index: Array, *values: Array, count: int) -> list[Array]:
 
 
 def _in_a_loop(index: Array, *values: Array, count: int) -> list[Array]:
-    """The sums in one array: each array that a loop carries is named anew in every turn of it."""
-
+    """Of two arrays, though they are joined before: every turn of a loop sets down where each array is that it carries."""
     rows = jnp.stack(values)
 
-    def one(sums: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
-        i, place = row
-        for k in range(len(values)):
-            at, of = (PLACE(k), place.astype(PLACE)), (PLACE(k), i)
-            sums = lax.dynamic_update_slice(
-                sums, lax.dynamic_slice(sums, at, (1, 1)) + lax.dynamic_slice(rows, of, (1, 1)), at
-            )
+    def one(sums: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
+        row, place = at
+        for k in map(PLACE, range(len(values))):
+            more = lax.dynamic_slice(sums, (k, place), (1, 1)) + lax.dynamic_slice(rows, (k, row), (1, 1))
+            sums = lax.dynamic_update_slice(sums, more, (k, place))
         return sums, None
 
     nothing = jnp.zeros((len(values), count), values[0].dtype)

@@ -11,6 +11,10 @@ from diffeed.base.one_kernel import loops_are_cheap
 
 BITS = 16
 """The first of single precision: its sign, its exponent and two digits."""
+LAST = (1 << BITS) - 1
+"""Of these bits the largest number: that of no value, infinity is less."""
+WINDOW = 32
+"""The compiler sums so many values at a time. Are the last few fewer, it asks of each value of all whether it is there."""
 
 
 def smallest(values: Array, count: int) -> Array:
@@ -30,9 +34,10 @@ def _in_loops(count: int) -> Any:
     @custom_vmap
     def found(values: Array) -> Array:
         key = _in_order(values)
+        whole = jnp.pad(key, (0, -key.shape[0] % WINDOW), constant_values=LAST)
 
         def below(limit: Array) -> Array:
-            return jnp.sum(key < limit, dtype=jnp.int32)
+            return jnp.sum(whole < limit, dtype=jnp.int32)
 
         def one_bit(k: Array, last: Array) -> Array:
             more = last | jnp.left_shift(jnp.asarray(1, jnp.int32), BITS - 1 - k.astype(jnp.int32))
@@ -63,4 +68,4 @@ def _in_loops(count: int) -> Any:
 def _in_order(values: Array) -> Array:
     """Whole numbers from 0 in the order of single-precision ones, by their first bits; what is no number comes last."""
     bits = lax.bitcast_convert_type(jnp.where(jnp.isnan(values), jnp.inf, values), jnp.int32)
-    return jnp.where(bits < 0, ~bits, bits ^ (-1 << 31)) >> (32 - BITS) & ((1 << BITS) - 1)
+    return jnp.where(bits < 0, ~bits, bits ^ (-1 << 31)) >> (32 - BITS) & LAST

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.places import PLACE, add_at, at_places, summed_at
 from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.places import PLACE, add_at, at_places, summed_at
 from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
 from diffeed.model.arrays import Guides, Model
@@ -215,5 +215,6 @@ def by_contact(model: Model, kept: Kept, values: Array) -> Array:
     if kept.pairs is None:
         own = jnp.asarray(layout.sheet_of_feature, values.dtype)
         return product(product(values, own), own.T)
-    contact = _body_of_pairs(model, kept) * len(layout.bars) + at_places(jnp.asarray(layout.owner_of_feature, PLACE), kept.pairs.feature)
+    sheet = at_places(jnp.asarray(layout.owner_of_feature, PLACE), kept.pairs.feature)
+    contact = _body_of_pairs(model, kept) * len(layout.bars) + sheet
     return at_places(summed_at(len(model.body_names) * len(layout.bars), contact, values), contact)

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.base.batching import any_of_batch
 from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.base.products import product
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
