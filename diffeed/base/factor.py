@@ -1,7 +1,6 @@
 """Triangular factors of positive matrices: by the library, or in loops where those are cheap and the matrix is small."""
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from diffeed.base.one_kernel import loops_are_cheap
@@ -35,7 +34,7 @@ def _in_a_loop(matrix: Array) -> Array:
         return left - own[:, None] * own[None, :], own
 
     # What stands above in a column changes nothing below it, and is left out at the end: in each turn that would take longer.
-    return jnp.tril(lax.scan(column, matrix, np.arange(matrix.shape[0], dtype=PLACE))[1].T)
+    return jnp.tril(lax.scan(column, matrix, jnp.arange(matrix.shape[0], dtype=PLACE))[1].T)
 
 
 def _row_by_row(lower: Array, right: Array, transposed: bool) -> Array:
@@ -46,5 +45,5 @@ def _row_by_row(lower: Array, right: Array, transposed: bool) -> Array:
         x = lax.dynamic_index_in_dim(left, j, keepdims=False) / lax.dynamic_index_in_dim(has, j, keepdims=False)
         return left - has[:, None] * x[None, :], x
 
-    place = np.arange(lower.shape[0], dtype=PLACE)
+    place = jnp.arange(lower.shape[0], dtype=PLACE)
     return lax.scan(unknown, right, (place, columns), reverse=transposed)[1]

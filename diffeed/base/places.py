@@ -60,7 +60,7 @@ def _in_a_loop(index: Array, *values: Array, count: int) -> list[Array]:
         return sums, None
 
     nothing = jnp.zeros((len(values), count), values[0].dtype)
-    return list(lax.scan(one, nothing, (np.arange(index.shape[0], dtype=PLACE), index))[0])
+    return list(lax.scan(one, nothing, (jnp.arange(index.shape[0], dtype=PLACE), index))[0])
 
 
 def _either(index: Array, *values: Array, count: int) -> list[Array]:

@@ -11,6 +11,9 @@ after 10 ms of the film feeder, where all digits leave 1.5e-5."""
 SMALL = 1 << 15
 """Products of numbers up to which they are summed in loops, where those are cheap: a call of the library, which no kernel of a
 whole run may have, takes as long (`diffeed bench growth`: bars)."""
+SIDE_BY_SIDE = 4
+"""Numbers that a processor takes at once. From so many columns on a sum of outer products beats sums of products; where they are
+no multiple of it, each turn of a loop over them takes twice as long."""
 
 
 def product(a: Array, b: Array) -> Array:
@@ -18,10 +21,6 @@ def product(a: Array, b: Array) -> Array:
     if b.ndim <= 2 and loops_are_cheap() and a.size * (b.shape[1] if b.ndim == 2 else 1) <= SMALL:
         return _summed(a, b)
     return jnp.matmul(a, b, precision=ALL_DIGITS)
-
-
-SIDE_BY_SIDE = 4
-"""Columns from which a sum of outer products beats sums of products: then the compiler takes several at once."""
 
 
 def _summed(a: Array, b: Array) -> Array:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.products import product
+from diffeed.base.products import SIDE_BY_SIDE, product
 from diffeed.base.smooth import solve_positive
 from diffeed.chain.sums import running
 from diffeed.chain.system import Answer, System
@@ -28,22 +28,25 @@ def respond(system: System, layout: Layout, sides: Array, border: Array) -> Answ
     The rollers' own unknowns follow from a small Schur complement.
     """
     k, beside, lever = sides.shape[0], system.border, (system.lever_x, system.lever_y)
+    m = border.shape[1]
     # What centres do if nothing turns any faster: sums of what each joint adds to the one in front.
     bias_x, bias_y = running(layout, 2.0 * jnp.stack([system.bias_x, system.bias_y]))
     given = jnp.concatenate([sides[:1] - system.bars.pull(bias_x, bias_y)[None], sides[1:]])
     if beside is not None:
-        given = jnp.concatenate([given, beside.columns])
+        nothing = jnp.zeros((-(k + m) % SIDE_BY_SIDE, *given.shape[1:]), given.dtype)
+        given = jnp.concatenate([given, beside.columns, nothing])
     chain = _factored(system, layout)
     left = _carried(chain, layout, lever, given)
     z = border
     if beside is not None:
-        shared = product(left.pushed[:, k:].T, left.turned) + product(left.lead_force[:, k:].T, left.lead)
+        own = slice(k, k + m)
+        shared = product(left.pushed[:, own].T, left.turned) + product(left.lead_force[:, own].T, left.lead)
         mine = jnp.sum(beside.columns[:, 0] * bias_x[None] + beside.columns[:, 1] * bias_y[None], axis=1)
         known = jnp.concatenate([(border[:1] - mine[None]).T, border[1:].T], axis=1) - shared[:, :k]
-        z = solve_positive(beside.matrix() - shared[:, k:], known).T
+        z = solve_positive(beside.matrix() - shared[:, own], known).T
         left = left._replace(
-            turned=left.turned[:, :k] - product(left.turned[:, k:], z.T),
-            lead=left.lead[:, :k] - product(left.lead[:, k:], z.T),
+            turned=left.turned[:, :k] - product(left.turned[:, own], z.T),
+            lead=left.lead[:, :k] - product(left.lead[:, own], z.T),
         )
     x, y, w = _placed(chain, layout, lever, left)
     first = jnp.asarray(np.arange(k) == 0, x.dtype)[:, None]

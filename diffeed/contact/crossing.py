@@ -7,27 +7,19 @@ depth as pressed in: what comes there past the guide's end, where nothing stops 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
+from diffeed.base.batching import any_of_batch
 from diffeed.base.sweeps import totals
 from diffeed.chain.kinematics import Pose, nodes, pose
 from diffeed.chain.state import State
 from diffeed.contact.bodies import Bodies, bodies
 from diffeed.contact.kept import DEEP_IN_GUIDES, kept_guides
 from diffeed.model.arrays import Guides, Model
-from diffeed.pair.shapes import Face, point_face, where_met
+from diffeed.pair.shapes import Face, Faced, point_face, where_met
 
 CLEARLY = 0.2
 """mm below the centre of a guide's rounded end, from where on that end holds a sheet off on the wrong side."""
-
-
-class _Seen(NamedTuple):
-    """Nodes as guides see them, (guides, nodes), and where between neighbours a bar meets the face's line or circle."""
-
-    height: Array  # mm above the face
-    beyond: tuple[Array, Array]  # mm past the first end and past the second
-    meets: tuple[Array, Array]  # the same of the point where a bar meets the face, (guides, nodes - 1)
-    across: Array  # bool: it does, and one end is deep behind
 
 
 class Misplaced(NamedTuple):
@@ -54,13 +46,31 @@ def _by_bars(model: Model, at: Pose, world: Bodies) -> Misplaced | None:
     beyond a guide's own ends a sheet may cross freely."""
     if not model.guides.names:
         return None
-    seen, bar = _seen(world.guides, *nodes(model, at)), ~model.layout.tail[None, :-1]
-    across = seen.across & (seen.meets[0] <= 0) & (seen.meets[1] <= 0)  # 0 everywhere on a full turn
-    return Misplaced(across & bar, _behind(seen, world.guides.faces) & bar)
+    guides, (x, y) = kept_guides(world.guides, None), nodes(model, at)
+    seen, bar = point_face(x[None], y[None], *guides.shape), jnp.asarray(~model.layout.tail[None, :-1])
+    return Misplaced(_across(guides, x, y, seen, bar), _behind(seen, world.guides.faces) & bar)
 
 
-def _behind(seen: _Seen, face: Face) -> Array:
-    height, back = seen.height, -(face.tip_radius + CLEARLY)
+def _across(guides: Guides, x: Array, y: Array, seen: Faced, bar: Array) -> Array:
+    """Where one end is deep behind, and the bar meets the face's line or circle between the ends of the face."""
+    a, b = seen.gap[:, :-1], seen.gap[:, 1:]
+    may = bar & (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * guides.faces.depth)
+    # A bar that is past an end with both of its own meets it there, if at all.
+    for past in seen.beyond:
+        may &= ~((past[:, :-1] > 0) & (past[:, 1:] > 0))
+
+    def does() -> Array:
+        share = where_met(x[None], y[None], *guides.shape)
+        px, py = (v[None, :-1] + share * jnp.diff(v)[None] for v in (x, y))
+        first, second = point_face(px, py, *guides.shape).beyond
+        return may & (first <= 0) & (second <= 0)  # 0 everywhere on a full turn
+
+    # Hardly ever may any.
+    return lax.cond(any_of_batch(jnp.any(may)), does, lambda: may)
+
+
+def _behind(seen: Faced, face: Face) -> Array:
+    height, back = seen.gap, -(face.tip_radius + CLEARLY)
     behind = jnp.zeros((height.shape[0], height.shape[1] - 1), bool)
     for past, joined in zip(seen.beyond, face.joined, strict=True):
         a, b = past[:, :-1], past[:, 1:]
@@ -69,13 +79,3 @@ def _behind(seen: _Seen, face: Face) -> Array:
         there = height[:, :-1] + share * (height[:, 1:] - height[:, :-1])
         behind |= reaches & (there < back[:, None]) & (there > -face.depth[:, None])
     return behind
-
-
-def _seen(guides: Guides, x: Array, y: Array) -> _Seen:
-    rows = kept_guides(guides, None)
-    faced = point_face(x[None, :], y[None, :], *rows.shape)
-    a, b = faced.gap[:, :-1], faced.gap[:, 1:]
-    across = (a * b < 0) & (jnp.minimum(a, b) < -DEEP_IN_GUIDES * rows.faces.depth)
-    share = where_met(x[None, :], y[None, :], *rows.shape)
-    px, py = (v[None, :-1] + share * jnp.diff(v)[None] for v in (x, y))
-    return _Seen(faced.gap, faced.beyond, point_face(px, py, *rows.shape).beyond, across)
