@@ -13,7 +13,7 @@ import diffeed
 from diffeed import tuning
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import add_at, summed_at
+from diffeed.base.places import PLACE, add_at, at_places, summed_at
 from diffeed.base.products import product
 from diffeed.base.smallest import smallest
 from diffeed.base.smooth import solve_positive
@@ -64,6 +64,17 @@ def test_so_are_their_derivatives_and_those_of_a_batch(loops):
         alone = [batched(v, i) for v, i in zip(values, index, strict=True)]
         np.testing.assert_allclose(jax.vmap(batched)(values, index), jnp.stack(alone), rtol=1e-13)
     np.testing.assert_allclose(jax.vmap(jax.grad(ours))(values)[1], jax.grad(known)(values[1]), rtol=1e-13)
+
+
+def test_what_stands_at_places_is_taken_from_there():
+    index = np.array([[4, 0], [2, 4]])
+    rows = jnp.stack([VALUES.T, 2.0 * VALUES.T])
+    for values in (VALUES[:, 0], VALUES.T, rows):
+        np.testing.assert_array_equal(at_places(values, index), np.asarray(values)[..., index])
+        slope = jax.grad(lambda v: jnp.sum(at_places(v, index.ravel()) ** 3))(values)
+        np.testing.assert_allclose(slope, jax.grad(lambda v: jnp.sum(v[..., index.ravel()] ** 3))(values), rtol=1e-15)
+    taken = jax.vmap(at_places)(rows, jnp.asarray(index, PLACE))
+    np.testing.assert_array_equal(taken, [row[:, at] for row, at in zip(np.asarray(rows), index, strict=True)])
 
 
 def test_factors_solve(loops):

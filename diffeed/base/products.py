@@ -13,7 +13,7 @@ SMALL = 1 << 15
 whole run may have, takes as long (`diffeed bench growth`: bars)."""
 SIDE_BY_SIDE = 4
 """Numbers that a processor takes at once. From so many columns on a sum of outer products beats sums of products; where they are
-no multiple of it, each turn of a loop over them takes twice as long."""
+no multiple of it, it asks of each number whether it is there."""
 
 
 def product(a: Array, b: Array) -> Array:

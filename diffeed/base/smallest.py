@@ -14,7 +14,7 @@ BITS = 16
 LAST = (1 << BITS) - 1
 """Of these bits the largest number: that of no value, infinity is less."""
 WINDOW = 32
-"""The compiler sums so many values at a time. Are the last few fewer, it asks of each value of all whether it is there."""
+"""The compiler sums so many values at a time. Where the last few are fewer, it asks of each value of all whether it is there."""
 
 
 def smallest(values: Array, count: int) -> Array:

@@ -22,8 +22,7 @@ def largest(*values: Array) -> tuple[Array, ...]:
     """Of arrays of one shape, numbers, the greatest size; a NaN where one is. Without derivatives.
 
     As whole numbers: of the bits of numbers without a sign those of the greater one are the greater number, and of a NaN they
-    are greater still. A processor compares them at once, and many side by side; two numbers that may be none take it five times
-    as long, one after the other.
+    are greater still. Those are compared side by side, what may be no number only one after the other.
     """
     bits = {8: np.int64, 4: np.int32}
     sizes = [lax.bitcast_convert_type(jnp.abs(v), bits[v.dtype.itemsize]) for v in values]
