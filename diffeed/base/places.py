@@ -18,8 +18,7 @@ from jax.interpreters import ad, batching, mlir
 from diffeed.base.one_kernel import loops_are_cheap
 
 PLACE = np.uint32
-"""What places are counted in: of those without a sign the compiler need not ask whether they lie below 0, each time that it takes
-one, and half of a loop over places is such questions."""
+"""What places are counted in: without a sign, so that the compiler need not ask of each whether it lies below 0."""
 
 
 def at_places(values: Array, index: Array | np.ndarray) -> Array:
@@ -30,9 +29,9 @@ def at_places(values: Array, index: Array | np.ndarray) -> Array:
     return lax.gather(values, start, of_last, (*before, 1), mode=mode)
 
 
-def add_at(count: int, index: Array, values: Sequence[Array]) -> list[Array]:
+def add_at(count: int, index: Array | np.ndarray, values: Sequence[Array]) -> list[Array]:
     """(rows,) places below `count` and several (rows,) -> (count,) of each: at each place the sum of its rows."""
-    return _add_at.bind(index.astype(PLACE), *values, count=count)
+    return _add_at.bind(jnp.asarray(index, PLACE), *values, count=count)
 
 
 def summed_at(count: int, index: Array, values: Array) -> Array:

@@ -19,15 +19,8 @@ def totals(*values: Array) -> tuple[Array, ...]:
 
 
 def largest(*values: Array) -> tuple[Array, ...]:
-    """Of arrays of one shape, numbers, the greatest size; a NaN where one is. Without derivatives.
-
-    As whole numbers: of the bits of numbers without a sign those of the greater one are the greater number, and of a NaN they
-    are greater still. Those are compared side by side, what may be no number only one after the other.
-    """
-    bits = {8: np.int64, 4: np.int32}
-    sizes = [lax.bitcast_convert_type(jnp.abs(v), bits[v.dtype.itemsize]) for v in values]
-    found = _reduced(lax.max, tuple(sizes), tuple(np.zeros((), v.dtype) for v in sizes))
-    return tuple(lax.bitcast_convert_type(of, v.dtype) for of, v in zip(found, values, strict=True))
+    """Of arrays of one shape, numbers, not empty; a NaN where one is. Without derivatives."""
+    return _reduced(lax.max, values, tuple(np.asarray(-np.inf, v.dtype) for v in values))
 
 
 @jax.custom_jvp

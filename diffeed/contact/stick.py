@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from diffeed.base.places import PLACE
 from diffeed.base.products import product
 from diffeed.base.records import replace
 from diffeed.base.smooth import divide
@@ -68,7 +67,7 @@ def _at_circles(model: Model, on_circles: Array, kept: Kept) -> Array:
     n_sheets, n_features = len(model.layout.names), model.layout.tail.shape[0]
     table, index = on_circles.reshape(-1, n_sheets), kept.circle_index
     if kept.pairs is not None and index is not None:
-        owner = jnp.asarray(model.layout.owner_of_feature, PLACE)
+        owner = jnp.asarray(model.layout.owner_of_feature)
         return table[index, owner[kept.pairs.feature[: kept.n_circles]]]
     if n_sheets == 1:
         return jnp.broadcast_to(pick(table[:, 0], index)[: kept.n_circles], (kept.n_circles, n_features))

@@ -7,7 +7,7 @@ from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import PLACE, add_at, at_places
+from diffeed.base.places import add_at, at_places
 from diffeed.base.products import product
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
@@ -169,13 +169,12 @@ def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Ar
     first, second = (unknown[k] for k in np.nonzero(meet))
     pair, one = unknown % count, first % count
     rhs = at_places(f_n, pair) * at_places(gn, unknown) + at_places(f_t, pair) * at_places(gt, unknown)
-    rhs = add_at(n, jnp.asarray(place[unknown], PLACE), [rhs])[0][:-1]
+    rhs = add_at(n, place[unknown], [rhs])[0][:-1]
     if not step.implicit:
         return jnp.zeros((m + f, m + f)), rhs
     both = at_places(a_n, one) * at_places(gn, first) * at_places(gn, second)
     both = both + at_places(a_t, one) * at_places(gt, first) * at_places(gt, second)
-    at = jnp.asarray(place[first] * n + place[second], PLACE)
-    full = add_at(n * n, at, [both])[0].reshape(n, n)
+    full = add_at(n * n, place[first] * n + place[second], [both])[0].reshape(n, n)
     return full[:-1, :-1], rhs
 
 
