@@ -17,11 +17,12 @@ def test_numbers_are_summed_and_booleans_asked_whether_any_is_true():
 
 
 def test_of_a_batch_each_sample_has_its_own():
-    batch = jnp.stack([NUMBERS, -2.0 * NUMBERS])
+    batch = jnp.stack([NUMBERS, -2.0 * NUMBERS - 1.0])
     of_each = jax.vmap(lambda v: (*totals(v, v < -1.5), *largest(v)))(batch)
     np.testing.assert_allclose(of_each[0], np.sum(batch, axis=(1, 2)), rtol=1e-12)
     np.testing.assert_array_equal(of_each[1], [False, True])
-    np.testing.assert_array_equal(of_each[2], np.max(batch, axis=(1, 2)))
+    np.testing.assert_array_equal(of_each[2], np.max(np.abs(batch), axis=(1, 2)))
+    assert not np.allclose(of_each[2], np.max(batch, axis=(1, 2)))  # whatever their sign
 
 
 def test_what_is_no_number_is_not_lost():

@@ -19,8 +19,14 @@ def totals(*values: Array) -> tuple[Array, ...]:
 
 
 def largest(*values: Array) -> tuple[Array, ...]:
-    """Of arrays of one shape, numbers, not empty; a NaN where one is. Without derivatives."""
-    return _reduced(lax.max, values, tuple(np.asarray(-np.inf, v.dtype) for v in values))
+    """Of arrays of one shape, numbers, not empty, the greatest size; a NaN where one is. Without derivatives.
+
+    As whole numbers: of numbers without a sign the greater one has the greater bits, and a NaN greater ones still. Those are
+    compared side by side; what may be no number only one after the other (`python -m tests.checks_cost long_path`).
+    """
+    sizes = tuple(lax.bitcast_convert_type(jnp.abs(v), f"int{8 * v.dtype.itemsize}") for v in values)
+    found = _reduced(lax.max, sizes, tuple(np.zeros((), v.dtype) for v in sizes))
+    return tuple(lax.bitcast_convert_type(of, v.dtype) for of, v in zip(found, values, strict=True))
 
 
 @jax.custom_jvp

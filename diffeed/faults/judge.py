@@ -42,7 +42,7 @@ def of_step(
     then, now = (_speeds(model, state) for state in (before, after))
     idlers = after.spin * model.rollers.radius[model.rollers.free]  # mm/s, of their surfaces
     gained = jnp.concatenate([now - then, jnp.zeros_like(idlers)])
-    fastest, change = largest(jnp.abs(jnp.concatenate([now, idlers])), jnp.abs(gained))
+    fastest, change = largest(jnp.concatenate([now, idlers]), gained)
     leap = 0.5 * h * change
     cause = jnp.where(tally.deep, TOO_DEEP, jnp.where(tally.unresolved, UNRESOLVED, 0))
     if touching.rollers is not None:
