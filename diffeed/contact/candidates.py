@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import for_each
+from diffeed.base.places import add_at
 from diffeed.base.smallest import smallest
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
@@ -225,7 +226,8 @@ def _first_few(values: Array, count: int) -> tuple[Array, Array]:
     if count >= values.shape[0]:
         return jnp.arange(values.shape[0], dtype=jnp.int32), jnp.full_like(values, jnp.inf)
     chosen = smallest(values, count)
-    return chosen, values.at[chosen].set(jnp.inf)
+    taken = add_at(values.shape[0], chosen, [jnp.ones((count,), values.dtype)])[0] > 0  # a scatter would be no loop
+    return chosen, jnp.where(taken, jnp.inf, values)
 
 
 def _partners(model: Model, world: Bodies, count: int) -> tuple[Array, Array]:
