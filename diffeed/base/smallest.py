@@ -4,17 +4,20 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 
 from diffeed.base.one_kernel import loops_are_cheap
+from diffeed.base.places import PLACE, at_places
 
 BITS = 16
 """The first of single precision: its sign, its exponent and two digits."""
 LAST = (1 << BITS) - 1
 """Of these bits the largest number: that of no value, infinity is less."""
 WINDOW = 32
-"""The compiler sums so many values at a time. Where the last few are fewer, it asks of each value of all whether it is there."""
+"""The compiler sums so many values at a time. Where the last few are fewer, it asks of each value of all whether it is there.
+And so many bits has a word."""
 
 
 def smallest(values: Array, count: int) -> Array:
@@ -25,11 +28,11 @@ def smallest(values: Array, count: int) -> Array:
 
 
 def _by_the_library(values: Array, count: int) -> Array:
-    return lax.top_k(-values, count)[1]  # of single precision, for in double the compiler sorts all
+    return lax.top_k(-values, count)[1].astype(PLACE)  # of single precision, for in double the compiler sorts all
 
 
 def _in_loops(count: int) -> Any:
-    """The count-th smallest is found bit by bit, then the places of what is not above it are written one after the other."""
+    """The count-th smallest is found bit by bit, then the places of what is not above it are read from a mask of them."""
 
     @custom_vmap
     def found(values: Array) -> Array:
@@ -45,24 +48,28 @@ def _in_loops(count: int) -> Any:
 
         last = lax.fori_loop(0, BITS, one_bit, jnp.zeros((), jnp.int32))
 
-        def one_place(carry: tuple[Array, Array, Array], given: tuple[Array, Array]) -> tuple[Any, None]:
-            (places, n, spare), (k, own) = carry, given
-            equal = (own == last) & (spare > 0)
-            # Written each time: over what was not taken, the next is.
-            places = lax.dynamic_update_index_in_dim(places, k, n, 0)
-            taken = (own < last) | equal
-            return (places, n + taken.astype(jnp.int32), spare - equal.astype(jnp.int32)), None
-
-        # Of those alike to the last one so many are taken as are missing.
-        start = (jnp.zeros((count + 1,), jnp.int32), jnp.zeros((), jnp.int32), count - below(last))
-        (places, _, _), _ = lax.scan(one_place, start, (jnp.arange(key.shape[0], dtype=jnp.int32), key))
-        return places[:-1]
+        # Of those alike to the last one so many are taken as are missing: they come after what is below it.
+        return _set_bits(jnp.concatenate([whole < last, whole == last]), count) % PLACE(whole.shape[0])
 
     @found.def_vmap
     def _(size: int, batched: list[bool], values: Array) -> tuple[Array, bool]:
         return jax.vmap(lambda v: _by_the_library(v, count))(values), True
 
     return found
+
+
+def _set_bits(mask: Array, count: int) -> Array:
+    """(n,) bools in whole windows, `count` of them true at least -> (count,) places of the first ones that are.
+
+    A window is one word. So each place is found alone, by counting: of windows, then of bits, up to which no more are true."""
+    bits, wanted = jnp.arange(WINDOW, dtype=PLACE), jnp.arange(count, dtype=PLACE)
+    words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), PLACE(1) << bits, 0), axis=1, dtype=PLACE)
+    each, n = lax.population_count(words), words.shape[0]
+    upto = jnp.sum(jnp.where(np.tri(n, dtype=bool), each, 0), axis=1, dtype=PLACE)
+    window = jnp.sum(upto <= wanted[:, None], axis=1, dtype=PLACE)
+    word, rank = at_places(words, window), wanted - at_places(upto - each, window)
+    upto_bit = lax.population_count(word[:, None] & (PLACE(2) << bits) - 1)
+    return window * PLACE(WINDOW) + jnp.sum(upto_bit <= rank[:, None], axis=1, dtype=PLACE)
 
 
 def _in_order(values: Array) -> Array:

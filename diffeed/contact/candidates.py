@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array, lax
 
 from diffeed.base.batching import for_each
-from diffeed.base.places import add_at
+from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.base.smallest import smallest
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
 from diffeed.chain.state import State
@@ -172,8 +172,9 @@ class Family(NamedTuple):
 
     def pairs(self, chosen: Array) -> tuple[Array, Array]:
         """Places in (bodies, features), one after the other -> which body of the family, and which feature."""
-        body, feature = chosen // self.near.gap.shape[1], chosen % self.near.gap.shape[1]
-        return body if self.which is None else self.which[body], feature
+        features = PLACE(self.near.gap.shape[1])
+        body, feature = chosen // features, chosen % features
+        return body if self.which is None else at_places(self.which, body), feature
 
 
 def _families(model: Model, at: Pose, world: Bodies, size: Capacities) -> dict[str, Family]:
@@ -224,7 +225,7 @@ def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Watche
 def _first_few(values: Array, count: int) -> tuple[Array, Array]:
     """Places of the smallest values, (count,) or all, and the values with those at infinity."""
     if count >= values.shape[0]:
-        return jnp.arange(values.shape[0], dtype=jnp.int32), jnp.full_like(values, jnp.inf)
+        return jnp.arange(values.shape[0], dtype=PLACE), jnp.full_like(values, jnp.inf)
     chosen = smallest(values, count)
     taken = add_at(values.shape[0], chosen, [jnp.ones((count,), values.dtype)])[0] > 0  # a scatter would be no loop
     return chosen, jnp.where(taken, jnp.inf, values)
