@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "diffeed"
 
 RANKS = """
-    base: words names record_html records files folders terminal toml_text limits one_kernel batching smallest places products
+    base: words names record_html records files folders terminal toml_text limits one_kernel batching places smallest products
     base: factor sweeps smooth once
     tuning plot_style
     pair: shapes skin law rebound

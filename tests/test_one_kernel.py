@@ -13,7 +13,7 @@ import diffeed
 from diffeed import tuning
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import PLACE, add_at, at_places, summed_at
+from diffeed.base.places import PLACE, add_at, add_within, at_places, summed_at
 from diffeed.base.products import product
 from diffeed.base.smallest import smallest
 from diffeed.base.smooth import solve_positive
@@ -47,6 +47,20 @@ def test_these_tests_know_both(loops):
 def test_rows_are_summed_at_their_places(loops):
     np.testing.assert_allclose(columns(VALUES, INDEX), scattered(VALUES), rtol=1e-15)
     np.testing.assert_allclose(summed_at(5, INDEX, VALUES.T), scattered(VALUES).T, rtol=1e-15)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_rows_past_the_last_place_are_left_out(loops, known):
+    """Places with one, several and no rows."""
+    index, values = np.array([3, 6, 0, 3, 3, 5, 9, 0, 3, 5, 5]), jnp.asarray(RANDOM.normal(size=11))
+    wanted = np.bincount(index, np.asarray(values), minlength=10)[:6]
+
+    def summed(v):
+        return add_within(6, index if known else jnp.asarray(index, PLACE), v)
+
+    np.testing.assert_allclose(summed(values), wanted, rtol=1e-15)
+    slope = jax.grad(lambda v: jnp.sum(summed(v) ** 3))(values)
+    np.testing.assert_allclose(slope, 3.0 * np.append(wanted, np.zeros(4))[index] ** 2, rtol=1e-15)
 
 
 def test_so_are_their_derivatives_and_those_of_a_batch(loops):

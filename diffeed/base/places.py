@@ -34,6 +34,24 @@ def add_at(count: int, index: Array | np.ndarray, values: Sequence[Array]) -> li
     return _add_at.bind(jnp.asarray(index, PLACE), *values, count=count)
 
 
+def add_within(count: int, index: Array | np.ndarray, values: Array) -> Array:
+    """(rows,) places and (rows,) -> (count,): the same of one array, without rows whose place is not below `count`. Each place
+    takes its rows where it is known beforehand which those are."""
+    if not isinstance(index, np.ndarray):
+        return add_at(count + 1, jnp.minimum(index, count), [values])[0][:-1]
+    nothing, times = values.shape[0], np.bincount(index, minlength=count)[:count]
+    width = 1 << np.ceil(np.log2(np.maximum(times, 1))).astype(int)  # those of about as many rows together
+    rows, sums, slot, filled = jnp.pad(values, (0, 1)), [jnp.zeros((1,), values.dtype)], np.zeros(count, PLACE), 1
+    for most in np.unique(width[times > 0]):
+        alike = np.flatnonzero((width == most) & (times > 0))
+        table = np.full((most, len(alike)), nothing)
+        for column, place in enumerate(alike):
+            table[: times[place], column] = np.flatnonzero(index == place)
+        sums.append(jnp.sum(at_places(rows, table), axis=0))
+        slot[alike], filled = filled + np.arange(len(alike)), filled + len(alike)
+    return at_places(jnp.concatenate(sums), slot)
+
+
 def summed_at(count: int, index: Array, values: Array) -> Array:
     """(k, rows) and (rows,) places -> (k, count): the same of rows of one array."""
     if loops_are_cheap():

@@ -63,12 +63,12 @@ def _set_bits(mask: Array, count: int) -> Array:
 
     A window is one word. So each place is found alone, by counting: of windows, then of bits, up to which no more are true."""
     bits, wanted = jnp.arange(WINDOW, dtype=PLACE), jnp.arange(count, dtype=PLACE)
-    words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), PLACE(1) << bits, 0), axis=1, dtype=PLACE)
+    words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), (PLACE(1) << bits)[None], 0), axis=1, dtype=PLACE)
     each, n = lax.population_count(words), words.shape[0]
-    upto = jnp.sum(jnp.where(np.tri(n, dtype=bool), each, 0), axis=1, dtype=PLACE)
-    window = jnp.sum(upto <= wanted[:, None], axis=1, dtype=PLACE)
+    upto = jnp.sum(jnp.where(np.tri(n, dtype=bool), each[None], 0), axis=1, dtype=PLACE)
+    window = jnp.sum(upto[None] <= wanted[:, None], axis=1, dtype=PLACE)
     word, rank = at_places(words, window), wanted - at_places(upto - each, window)
-    upto_bit = lax.population_count(word[:, None] & (PLACE(2) << bits) - 1)
+    upto_bit = lax.population_count(word[:, None] & ((PLACE(2) << bits) - 1)[None])
     return window * PLACE(WINDOW) + jnp.sum(upto_bit <= rank[:, None], axis=1, dtype=PLACE)
 
 

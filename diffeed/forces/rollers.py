@@ -7,7 +7,7 @@ from jax import Array, lax
 
 from diffeed.base.batching import any_of_batch
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import add_at, at_places
+from diffeed.base.places import add_within
 from diffeed.base.products import product
 from diffeed.chain.state import State
 from diffeed.chain.system import Border
@@ -146,36 +146,26 @@ def _of_all(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]
 
 
 def _one_by_one(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
-    """The same from the few unknowns of each pair: a travel and a spin of either roller. What has none goes to a last place, or,
-    where it is known which rollers are in the pairs, nowhere."""
-    rollers, m, f = model.rollers, model.rollers.n_movable, model.rollers.n_free
+    """The same from the few unknowns of each pair: a travel and a spin of either roller. What has none is left out."""
+    rollers, m, n = model.rollers, model.rollers.n_movable, model.n_border
     a_n, a_t, f_n, f_t = felt(pairs, step).full()
-    known = isinstance(pairs.between[0], np.ndarray)
-    xp = np if known else jnp
-    places, normal, tangent = [], [], []
+    xp = np if isinstance(pairs.between[0], np.ndarray) else jnp  # what is known beforehand stays so
+    place, normal, tangent = [], [], []
     for side, index in ((1.0, pairs.between[0]), (-1.0, pairs.between[1])):
         spin = index - rollers.counts[0]
         way = [v[xp.clip(index, 0, m - 1)] for v in (rollers.dir_x, rollers.dir_y)]
-        places += [xp.where((of >= 0) & (of < k), first + of, m + f) for of, k, first in ((index, m, 0), (spin, f, m))]
+        place += [xp.where((of >= 0) & (of < k), first + of, n) for of, k, first in ((index, m, 0), (spin, n - m, m))]
         normal += [side * (pairs.nx * way[0] + pairs.ny * way[1]), jnp.zeros_like(pairs.nx)]
         tangent += [side * (pairs.nx * way[1] - pairs.ny * way[0]), -rollers.radius[index]]
-    place, gn, gt = xp.concatenate(places), jnp.concatenate(normal), jnp.concatenate(tangent)
-    # One after the other the unknowns of all pairs, and which of them meet in one pair: what is neither travel nor spin left out.
-    n, count = m + f + 1, pairs.gap.shape[0]
-    unknown = np.flatnonzero(place < m + f) if known else np.arange(place.shape[0])
-    meet = (unknown[:, None] - unknown[None]) % count == 0
-    if known:
-        meet &= place[unknown][:, None] >= place[unknown][None]  # the lower triangle is enough
-    first, second = (unknown[k] for k in np.nonzero(meet))
-    pair, one = unknown % count, first % count
-    rhs = at_places(f_n, pair) * at_places(gn, unknown) + at_places(f_t, pair) * at_places(gt, unknown)
-    rhs = add_at(n, place[unknown], [rhs])[0][:-1]
+    forces = jnp.concatenate([f_n * gn + f_t * gt for gn, gt in zip(normal, tangent, strict=True)])
+    rhs = add_within(n, xp.concatenate(place), forces)
     if not step.implicit:
-        return jnp.zeros((m + f, m + f)), rhs
-    both = at_places(a_n, one) * at_places(gn, first) * at_places(gn, second)
-    both = both + at_places(a_t, one) * at_places(gt, first) * at_places(gt, second)
-    full = add_at(n * n, place[first] * n + place[second], [both])[0].reshape(n, n)
-    return full[:-1, :-1], rhs
+        return jnp.zeros((n, n)), rhs
+    # Of a pair every unknown meets itself and those before it: the lower triangle is enough.
+    meet = [(i, k) for i in range(len(place)) for k in range(i + 1)]
+    both = jnp.concatenate([a_n * normal[i] * normal[k] + a_t * tangent[i] * tangent[k] for i, k in meet])
+    lower = xp.concatenate([xp.maximum(place[i], place[k]) * n + xp.minimum(place[i], place[k]) for i, k in meet])
+    return add_within(n * n, lower, both).reshape(n, n), rhs
 
 
 def _as_product(model: Model, pairs: RollerPairs, step: Step) -> tuple[Array, Array]:
