@@ -17,6 +17,7 @@ from diffeed.base.places import PLACE, add_at, add_within, at_places, summed_at
 from diffeed.base.products import product
 from diffeed.base.smallest import smallest
 from diffeed.base.smooth import solve_positive
+from diffeed.bench.jaxprs import equations
 
 RANDOM = np.random.default_rng(3)
 INDEX, VALUES = jnp.asarray(RANDOM.integers(0, 5, 9), jnp.int32), jnp.asarray(RANDOM.normal(size=(9, 3)))
@@ -118,6 +119,13 @@ def test_places_of_the_smallest(loops, n, count):
         for own, given in zip(np.asarray(places), np.asarray(values), strict=True):
             assert len(set(own)) == count
             np.testing.assert_allclose(np.sort(given[own]), np.sort(given)[:count], rtol=0.01)
+
+
+def test_no_array_of_a_search_grows_faster_than_its_list(loops):
+    """A list of 20,000 pairs: at most twice as many numbers anywhere, and the last window."""
+    n = 20_000
+    made = equations(lambda v: smallest(v, 8), jnp.zeros(n))
+    assert n <= max(out.aval.size for equation in made for out in equation.outvars) <= 2 * (n + 32)
 
 
 @pytest.mark.parametrize(

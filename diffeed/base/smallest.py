@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 
@@ -64,8 +63,9 @@ def _set_bits(mask: Array, count: int) -> Array:
     A window is one word. So each place is found alone, by counting: of windows, then of bits, up to which no more are true."""
     bits, wanted = jnp.arange(WINDOW, dtype=PLACE), jnp.arange(count, dtype=PLACE)
     words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), (PLACE(1) << bits)[None], 0), axis=1, dtype=PLACE)
-    each, n = lax.population_count(words), words.shape[0]
-    upto = jnp.sum(jnp.where(np.tri(n, dtype=bool), each[None], 0), axis=1, dtype=PLACE)
+    each = lax.population_count(words)
+    # In a loop: a table of words by words would be far larger than a long list itself.
+    upto = lax.scan(lambda so_far, more: (so_far + more,) * 2, jnp.zeros((), PLACE), each)[1]
     window = jnp.sum(upto[None] <= wanted[:, None], axis=1, dtype=PLACE)
     word, rank = at_places(words, window), wanted - at_places(upto - each, window)
     upto_bit = lax.population_count(word[:, None] & ((PLACE(2) << bits) - 1)[None])
