@@ -64,8 +64,12 @@ def _set_bits(mask: Array, count: int) -> Array:
     bits, wanted = jnp.arange(WINDOW, dtype=PLACE), jnp.arange(count, dtype=PLACE)
     words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), (PLACE(1) << bits)[None], 0), axis=1, dtype=PLACE)
     each = lax.population_count(words)
+
+    def counted(so_far: Array, more: Array) -> tuple[Array, Array]:
+        return so_far + more, so_far + more
+
     # In a loop: a table of words by words would be far larger than a long list itself.
-    upto = lax.scan(lambda so_far, more: (so_far + more,) * 2, jnp.zeros((), PLACE), each)[1]
+    upto = lax.scan(counted, jnp.zeros((), PLACE), each)[1]
     window = jnp.sum(upto[None] <= wanted[:, None], axis=1, dtype=PLACE)
     word, rank = at_places(words, window), wanted - at_places(upto - each, window)
     upto_bit = lax.population_count(word[:, None] & ((PLACE(2) << bits) - 1)[None])
