@@ -13,7 +13,8 @@ PACKAGE = ROOT / "diffeed"
 
 RANKS = """
     base: words names record_html records files folders terminal toml_text limits one_kernel batching places smallest products
-    base: factor sweeps smooth once
+    base: factor sweeps smooth once angles
+    abreast: values arrays loops walk
     tuning plot_style
     pair: shapes skin law rebound
     input: parts packing check_values check_rules check_records remarks_places remarks paths scene_file stacking
@@ -133,7 +134,7 @@ def test_the_design_loop_uses_public_names_of_the_simulator():
     import diffeed
 
     offered = {"measures", "plot", "player", "tuning", "schema", "plot_style", "run.rollout"}
-    offered |= {"readings.agreement", "readings.trajectory", "input.stacking"}
+    offered |= {"abreast", "faults.causes", "readings.agreement", "readings.trajectory", "input.stacking"}
     for path in (PACKAGE.parent / "optimize").rglob("*.py"):
         modules_asked = {name for name in imported(path) - {"__init__"} if not name.startswith("base.")}
         top = {

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from diffeed.base.batching import for_each
+from diffeed.abreast import for_many
 from diffeed.base.one_kernel import loops_are_cheap
 from diffeed.base.records import replace
 from diffeed.bench.timing import precision, timed
@@ -63,7 +63,7 @@ def _measure(scene: Scene, size: int, dt: float, steps: int, fewest: int) -> dic
             done = simulate(scene, duration=dt * steps, dt=dt, frames=2, initial=state)
             return done.ok, done.final.state
 
-        return for_each(one)(scenes)
+        return for_many(one)(scenes)
 
     made = timed(program, samples(scene, size), state, fewest=fewest)
     return {

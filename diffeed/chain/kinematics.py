@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from diffeed.base.angles import cos_sin
 from diffeed.base.once import computed_once
 from diffeed.chain.state import State, spread
 from diffeed.chain.sums import from_mean
@@ -27,7 +28,7 @@ class Pose(NamedTuple):
 def pose(model: Model, state: State) -> Pose:
     """Place every bar so that the joints are closed and the mass centre is where the state says."""
     # Left to itself the compiler computes both again in every loop that reads them (`tests/test_once.py` counts).
-    c, s = computed_once((jnp.cos(state.heading), jnp.sin(state.heading)))
+    c, s = computed_once(cos_sin(state.heading))
     bar = 2.0 * model.bars.half_length
     turn = bar * state.rate
     dx, dy, du, dv = from_mean(model.layout, jnp.stack([-bar * c, -bar * s, turn * s, -turn * c]))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from diffeed.base.batching import for_each
+from diffeed.base.batching import for_each, least_of_group
 from diffeed.base.places import PLACE, add_at, at_places
 from diffeed.base.smallest import smallest
 from diffeed.chain.kinematics import Pose, node_velocities, nodes, pose
@@ -223,10 +223,10 @@ def _most_urgent(seen: Watched, reach: Array, count: int) -> tuple[Array, Watche
 
 
 def _first_few(values: Array, count: int) -> tuple[Array, Array]:
-    """Places of the smallest values, (count,) or all, and the values with those at infinity."""
+    """Places of the smallest values, (count,) or all, and the values with those at infinity. Samples abreast choose together."""
     if count >= values.shape[0]:
         return jnp.arange(values.shape[0], dtype=PLACE), jnp.full_like(values, jnp.inf)
-    chosen = smallest(values, count)
+    chosen = smallest(least_of_group(values), count)
     taken = add_at(values.shape[0], chosen, [jnp.ones((count,), values.dtype)])[0] > 0  # a scatter would be no loop
     return chosen, jnp.where(taken, jnp.inf, values)
 

@@ -41,7 +41,7 @@ class Carried(NamedTuple):
 def carried(shift: Shift, which: np.ndarray) -> Carried:
     """Movements (moved,), and which of them each body has, -1: none. All at once: one after the other, twelve swinging guides
     compiled for a minute."""
-    rows = [*shift, jnp.cos(shift.angle), jnp.sin(shift.angle)]
+    rows = [*shift, *cos_sin(shift.angle)]
     if len(shift.dx) > 1:  # the only one is handed to all as it is
         rows = list(jnp.stack(rows)[:, np.maximum(which, 0)])
     return Carried(which >= 0, Shift(*rows[:-2]), *rows[-2:])

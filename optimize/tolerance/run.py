@@ -10,6 +10,7 @@ from jax import Array
 
 import diffeed
 from diffeed import measures
+from diffeed.faults.causes import TOO_MANY_NEAR
 from optimize.asked import Asked, values_of, violations
 from optimize.tolerance.moves import sampled
 from optimize.tolerance.problem import ToleranceProblem, rest_of
@@ -45,19 +46,21 @@ def run_of(
     )  # fmt: skip
 
 
-def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[Array, ...]:
-    """Status, reason, time, values and broken limits of one sample, as in `Rows`."""
+def one(problem: ToleranceProblem, rest: Any, deviation: Array) -> tuple[tuple[Array, ...], Array]:
+    """Status, reason, time, values and broken limits of one sample, as in `Rows`; and whether it found its list of pairs too
+    short, which it may be only for being shared."""
     scene = sampled(problem.inputs, problem.scene, deviation)
     run = run_of(problem, scene, rest)
     found = measures.outcome(scene, run)
     values = values_of(problem.asked, scene, run, found=True)
-    return (
+    row = (
         found.status,
         found.reason,
         found.time,
         jnp.where(run.ok, values, jnp.nan),
         broken_limits(problem.limits, values[len(problem.measures) :]),
     )
+    return row, run.failure.cause == TOO_MANY_NEAR
 
 
 def broken_limits(limits: tuple[Asked, ...], values: Array) -> Array:
@@ -71,7 +74,9 @@ class Evaluator:
 
     def __init__(self, problem: ToleranceProblem, chunk: int) -> None:
         self._rest = rest_of(problem)
-        self._spread = Spread(lambda d, rest: one(problem, rest, d), chunk)
+        # Where steps are chosen, all abreast would wait for the one that chooses the shortest.
+        equal = problem.study.step_tolerance is None
+        self._spread = Spread(lambda d, rest: one(problem, rest, d)[slice(None) if equal else 0], chunk, abreast=equal)
 
     @property
     def chunk(self) -> int:
