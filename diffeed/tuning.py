@@ -20,6 +20,12 @@ WHOLE: Flags = (
 )
 """One kernel of a whole run, however long its arrays are: a run takes a third to a half of the time, and twice as long to compile
 (`diffeed.base.one_kernel`, `python -m tests.one_kernel_cost`)."""
+WIDE: Flags = (
+    ("xla_cpu_prefer_vector_width", "512"),
+    ("xla_cpu_enable_concurrency_optimized_scheduler", "false"),  # it keeps more in memory
+)
+"""Eight numbers of double precision at once where the processor can, as many as samples are abreast: 0.86 to 0.88 of the time of
+a batch, but up to 1.18 of a single run's (script)."""
 QUICK = NO_EMITTERS + NO_UNROLLING
 """They compile in two thirds of the time to code that is as fast (measured on the shipped scenes, jax 0.10), the second
 alone in seven eighths (`diffeed bench gradient`): loops here are as long as a sheet has bars, and what can be computed side by
@@ -36,6 +42,8 @@ KNOWN: dict[str, tuple[Version, ...]] = {
     "xla_cpu_use_fusion_emitters": ((0, 8), (0, 9), (0, 10)),
     EXTRA: ((0, 8), (0, 9), (0, 10), (0, 12)),  # ends the process in 0.11
     "xla_cpu_experimental_ynn_fusion_type": ((0, 10), (0, 12)),
+    "xla_cpu_prefer_vector_width": ((0, 8), (0, 9), (0, 10), (0, 12)),
+    "xla_cpu_enable_concurrency_optimized_scheduler": ((0, 8), (0, 9), (0, 10), (0, 12)),
     "xla_backend_optimization_level": ((0, 8), (0, 9), (0, 10), (0, 11), (0, 12)),
 }
 """Versions of jaxlib that are known to take a flag: one that the compiler does not know ends the process."""
@@ -60,9 +68,14 @@ def compile_for_speed() -> None:
     _set_flags(QUICK + WHOLE)
 
 
+def compile_for_many() -> None:
+    """Set `QUICK`, `WHOLE` and `WIDE` likewise: for runs of many samples abreast (`diffeed.abreast.for_many`)."""
+    _set_flags(QUICK + WHOLE + WIDE)
+
+
 def compile_for_batches() -> None:
-    """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs side by side, by
-    `jax.vmap`."""
+    """Set `BATCHED` likewise (and `FUSED` too with the versions of `SURE`): for hundreds of runs side by side by `jax.vmap`,
+    where `diffeed.abreast` does not serve."""
     _set_flags(BATCHED + FUSED if _jaxlib() in SURE else BATCHED)
 
 

@@ -30,6 +30,8 @@ def test_flags_are_added_to_those_given(flags):
     whole = "xla_cpu_small_while_loop_byte_threshold=1000000000"
     assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", *quick]
     assert flags(tuning.compile_for_speed, "") == [quick[0], f"{quick[1]},{whole}", SUMS]
+    wide = ["--xla_cpu_prefer_vector_width=512", "--xla_cpu_enable_concurrency_optimized_scheduler=false"]
+    assert flags(tuning.compile_for_many, "") == [quick[0], f"{quick[1]},{whole}", SUMS, *wide]
     assert flags(tuning.compile_for_batches, "") == quick[1:]
     assert flags(tuning.fuse_outputs, "") == [quick[0], quick[1] + ",xla_cpu_use_multi_output_fusion"]
 

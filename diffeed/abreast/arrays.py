@@ -19,10 +19,10 @@ Rule = Callable[..., list[Value]]
 RULES: dict[str, Rule] = {}
 
 BY_ELEMENT = """
-    abs acos acosh add and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil convert_element_type copy cos cosh div eq eq_to
-    erf     erf_inv erfc exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul name ne neg nextafter not or
-    population_count pow rem round rsqrt shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square
-    stop_gradient sub tan tanh xor
+    abs acos acosh add and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil convert_element_type copy cos
+    cosh div eq eq_to erf erf_inv erfc exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt
+    lt_to max min mul name ne neg nextafter not or population_count pow rem round rsqrt shift_left
+    shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan tanh xor
 """
 JOINED: dict[str, Callable[[Array, Array], Array]] = {
     "reduce_sum": lax.add,
@@ -225,7 +225,7 @@ def _add_at(primitive: Primitive, size: int, given: list[Value], *, count: int) 
     """All samples of a row at once; at places of their own, one sample after the other."""
     index, *values = given
     if differs(index):
-        place = index.values * PLACE(size) + jnp.arange(size, dtype=PLACE)
+        place = index.values * PLACE(size) + jnp.arange(size, dtype=PLACE)[None]
         found = primitive.bind(place.ravel(), *(of_all(v, size).ravel() for v in values), count=count * size)
         return [Abreast(v.reshape(count, size)) for v in found]
     rows, nothing, first = jnp.stack([of_all(v, size) for v in values], axis=1), len(values), PLACE(0)

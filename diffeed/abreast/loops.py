@@ -64,7 +64,11 @@ def while_loop(
     cond_jaxpr: Any, cond_nconsts: int, body_jaxpr: Any, body_nconsts: int,
 ) -> list[Value]:  # fmt: skip
     """`lax.while_loop`: as long as any sample goes on; the others keep what they have."""
-    asked, consts, carry = given[:cond_nconsts], given[cond_nconsts:][:body_nconsts], given[cond_nconsts + body_nconsts :]
+    asked, consts, carry = (
+        given[:cond_nconsts],
+        given[cond_nconsts:][:body_nconsts],
+        given[cond_nconsts + body_nconsts :],
+    )
     carried, each = while_differing(
         which, [differs(v) for v in given],
         cond_jaxpr=cond_jaxpr, cond_nconsts=cond_nconsts, body_jaxpr=body_jaxpr, body_nconsts=body_nconsts,
@@ -82,7 +86,7 @@ def while_loop(
         if not each:
             return then
         more = of_all(goes_on(so_far), size)
-        return [jnp.where(more, new, old) for new, old in zip(then, so_far, strict=True)]
+        return [jnp.where(repeated(more, new.shape), new, old) for new, old in zip(then, so_far, strict=True)]
 
     return held(lax.while_loop(any_goes_on, one, laid_out(carry, carried, size)), carried)
 
@@ -91,7 +95,11 @@ def while_differing(
     which: Differing, flags: list[bool], *, cond_jaxpr: Any, cond_nconsts: int, body_jaxpr: Any, body_nconsts: int
 ) -> tuple[list[bool], bool]:
     """Of a loop what it carries, and whether each sample ends by itself: then all that it carries differs."""
-    asked, consts, carry = flags[:cond_nconsts], flags[cond_nconsts:][:body_nconsts], flags[cond_nconsts + body_nconsts :]
+    asked, consts, carry = (
+        flags[:cond_nconsts],
+        flags[cond_nconsts:][:body_nconsts],
+        flags[cond_nconsts + body_nconsts :],
+    )
     carried = in_the_end(carry, lambda c: which(body_jaxpr, [*consts, *c]))
     each = which(cond_jaxpr, [*asked, *carried])[0]
     return [True] * len(carried) if each else carried, each

@@ -143,7 +143,8 @@ def _which_of_one(eqn: Any, given: list[bool]) -> list[bool]:
     if name in CALLS and name != "custom_vmap_call":
         return _which(_closed(eqn.params[CALLS[name]]), given)
     if name == "scan":
-        return sum(loops.scan_differing(_which, given, **eqn.params), [])
+        carried, every = loops.scan_differing(_which, given, **eqn.params)
+        return carried + every
     if name == "while":
         return loops.while_differing(_which, given, **eqn.params)[0]
     if name == "cond" and not given[0]:

@@ -63,7 +63,9 @@ def _by_polynomials(angle: Array) -> tuple[Array, Array]:
 
 
 @_by_polynomials.defjvp
-def _by_polynomials_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _by_polynomials_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     c, s = _by_polynomials(*primals)
     (turned,) = tangents
     return (c, s), (-s * turned, c * turned)

@@ -31,8 +31,8 @@ def any_of_batch(flag: Array) -> Array:
 
 
 def least_of_group(values: Array) -> Array:
-    """The values themselves; of samples abreast (`diffeed.abreast`), not of those of `jax.vmap`, the least of all, one and the same
-    for all, so that what is chosen by them serves every one."""
+    """The values themselves; of samples abreast (`diffeed.abreast`), not of those of `jax.vmap`, the least of all, one and the
+    same for all, so that what is chosen by them serves every one."""
     return _least_of_group.bind(values)
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 
@@ -47,8 +48,7 @@ def _in_loops(count: int) -> Any:
 
         last = lax.fori_loop(0, BITS, one_bit, jnp.zeros((), jnp.int32))
 
-        # Of those alike to the last one so many are taken as are missing: they come after what is below it.
-        return _set_bits(jnp.concatenate([whole < last, whole == last]), count) % PLACE(whole.shape[0])
+        return _set_bits(whole < last, whole == last, count)
 
     @found.def_vmap
     def _(size: int, batched: list[bool], values: Array) -> tuple[Array, bool]:
@@ -57,23 +57,41 @@ def _in_loops(count: int) -> Any:
     return found
 
 
-def _set_bits(mask: Array, count: int) -> Array:
-    """(n,) bools in whole windows, `count` of them true at least -> (count,) places of the first ones that are.
+def _set_bits(first: Array, then: Array, count: int) -> Array:
+    """Two (n,) of bools in whole windows, together `count` of them true at least -> (count,) places in ascending order: of all
+    of the first, and of so many of the others as are missing. So where one stands does not depend on how urgent others are.
 
     A window is one word. So each place is found alone, by counting: of windows, then of bits, up to which no more are true."""
-    bits, wanted = jnp.arange(WINDOW, dtype=PLACE), jnp.arange(count, dtype=PLACE)
-    words = jnp.sum(jnp.where(mask.reshape(-1, WINDOW), (PLACE(1) << bits)[None], 0), axis=1, dtype=PLACE)
-    each = lax.population_count(words)
+    first, then = first.reshape(-1, WINDOW), then.reshape(-1, WINDOW)
+    spare = _words(then)
+    missing = PLACE(count) - jnp.sum(lax.population_count(_words(first)), dtype=PLACE)
+    rank = (_up_to(spare) - lax.population_count(spare))[:, None] + lax.population_count(spare[:, None] & _UP_TO_BIT)
+    words = _words(first | (then & (rank <= missing)))
+
+    wanted, upto = jnp.arange(count, dtype=PLACE), _up_to(words)
+    window = jnp.sum(upto[None] <= wanted[:, None], axis=1, dtype=PLACE)
+    word, before = at_places(words, window), at_places(upto - lax.population_count(words), window)
+    upto_bit = lax.population_count(word[:, None] & _UP_TO_BIT)
+    return window * PLACE(WINDOW) + jnp.sum(upto_bit <= (wanted - before)[:, None], axis=1, dtype=PLACE)
+
+
+_UP_TO_BIT = ((np.uint64(2) << np.arange(WINDOW, dtype=np.uint64)) - np.uint64(1)).astype(PLACE)[None]
+
+
+def _words(mask: Array) -> Array:
+    """(windows, WINDOW) bools -> (windows,) bits."""
+    bits = np.left_shift(PLACE(1), np.arange(WINDOW, dtype=PLACE))
+    return jnp.sum(jnp.where(mask, bits[None], PLACE(0)), axis=1, dtype=PLACE)
+
+
+def _up_to(words: Array) -> Array:
+    """(windows,) how many bits are set in each and before. In a loop: a table of words by words would be far larger than a long
+    list itself."""
 
     def counted(so_far: Array, more: Array) -> tuple[Array, Array]:
         return so_far + more, so_far + more
 
-    # In a loop: a table of words by words would be far larger than a long list itself.
-    upto = lax.scan(counted, jnp.zeros((), PLACE), each)[1]
-    window = jnp.sum(upto[None] <= wanted[:, None], axis=1, dtype=PLACE)
-    word, rank = at_places(words, window), wanted - at_places(upto - each, window)
-    upto_bit = lax.population_count(word[:, None] & ((PLACE(2) << bits) - 1)[None])
-    return window * PLACE(WINDOW) + jnp.sum(upto_bit <= rank[:, None], axis=1, dtype=PLACE)
+    return lax.scan(counted, jnp.zeros((), PLACE), lax.population_count(words))[1]
 
 
 def _in_order(values: Array) -> Array:

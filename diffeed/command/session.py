@@ -35,11 +35,12 @@ METHOD = click.option(
 
 def set_up(float32: bool = False, keep: bool = True, alone: bool = True, once: bool = False) -> None:
     """Settings of this process, before anything is compiled. `keep`: use compiled programs of earlier runs, and keep these.
-    `alone`: what is computed are single runs. `once`: and few of them, done sooner than they would be compiled to be faster."""
+    `alone`: what is computed are single runs, not batches. `once`: and few of them, done sooner than they would be compiled to be
+    faster."""
     import jax
 
     jax.config.update("jax_enable_x64", not float32)
-    (tuning.compile_quickly if once else tuning.compile_for_speed)()
+    (tuning.compile_quickly if once else tuning.compile_for_speed if alone else tuning.compile_for_many)()
     if alone:
         tuning.use_one_core()
     if not keep:

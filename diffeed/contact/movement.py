@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from diffeed.base.angles import cos_sin
 from diffeed.contact.profile import interpolate
 from diffeed.model.arrays import Path
 

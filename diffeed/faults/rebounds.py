@@ -76,8 +76,10 @@ def judged(
         now = Lacks(left * old.x + lost[0], left * old.y + lost[1], jnp.full_like(left, time))
         return jnp.stack(now), jnp.any(now.x * now.x + now.y * now.y > (NOTICED / FORGOTTEN) ** 2)
 
-    # Most steps enter nothing, and then no sheet lacks more than before.
-    return jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
+    # Most steps enter nothing, and then no sheet lacks more than before. Of a batch in which another is hit, this one keeps
+    # its bits.
+    now, matters = jax.lax.cond(any_of_batch(hit), more, lambda: (before, jnp.zeros((), bool)))
+    return jnp.where(hit, now, before), hit & matters
 
 
 def lost_impulse(model: Model, pairs: Pairs, kept: Kept, h: Array, slower: Slower) -> Array:

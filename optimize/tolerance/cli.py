@@ -130,7 +130,7 @@ def _problem(where: str, scene: str | None, changes: dict[str, Any]) -> Any:
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", True)
-    tuning.compile_for_speed()
+    tuning.compile_for_many()
     tuning.use_all_cores()
     if problem := tuning.keep_compilations():
         click.echo(problem, err=True)

@@ -34,7 +34,7 @@ def _evaluator(text: str, chunk: int, precise: bool) -> Evaluator:
     from diffeed import tuning
 
     jax.config.update("jax_enable_x64", precise)
-    tuning.compile_for_speed()
+    tuning.compile_for_many()
     return Evaluator(unpacked(json.loads(text)), chunk)
 
 
