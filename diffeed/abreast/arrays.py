@@ -11,7 +11,7 @@ from jax import Array, lax
 from jax.extend.core import Primitive
 
 from diffeed.abreast.values import Abreast, Value, alike, differs, of_all, repeated, shape_of
-from diffeed.base.places import PLACE
+from diffeed.base.places import PLACE, rows_at
 
 Rule = Callable[..., list[Value]]
 """From the operation, how many samples there are, its operands (one at least an `Abreast`) and its parameters to its results."""
@@ -221,13 +221,17 @@ def _and_all(start: list[Any]) -> tuple[Any, ...]:
 
 
 @rule("add_at")
-def _add_at(primitive: Primitive, size: int, given: list[Value], *, count: int) -> list[Value]:
+def _add_at(primitive: Primitive, size: int, given: list[Value], *, count: int, apart: bool) -> list[Value]:
     """All samples of a row at once; at places of their own, one sample after the other."""
     index, *values = given
     if differs(index):
         place = index.values * PLACE(size) + jnp.arange(size, dtype=PLACE)[None]
-        found = primitive.bind(place.ravel(), *(of_all(v, size).ravel() for v in values), count=count * size)
+        whole = [of_all(v, size).ravel() for v in values]
+        found = primitive.bind(place.ravel(), *whole, count=count * size, apart=False)
         return [Abreast(v.reshape(count, size)) for v in found]
+    if apart:
+        row = rows_at(count, jnp.asarray(index))
+        return [Abreast(_rows(jnp.pad(of_all(v, size), ((1, 0), (0, 0))), row)) for v in values]
     rows, nothing, first = jnp.stack([of_all(v, size) for v in values], axis=1), len(values), PLACE(0)
 
     def one(sums: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
@@ -237,6 +241,13 @@ def _add_at(primitive: Primitive, size: int, given: list[Value], *, count: int) 
 
     sums = lax.scan(one, jnp.zeros((count, nothing, size), rows.dtype), (rows, jnp.asarray(index)))[0]
     return [Abreast(sums[:, k]) for k in range(nothing)]
+
+
+def _rows(values: Array, index: Array) -> Array:
+    """(n, samples) and (k,) places below n -> (k, samples)."""
+    numbers = lax.GatherDimensionNumbers((1,), collapsed_slice_dims=(0,), start_index_map=(0,))
+    mode = lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return lax.gather(values, index[:, None], numbers, (1, values.shape[1]), mode=mode)
 
 
 @rule("least_of_group")

@@ -4,6 +4,7 @@ They are summed in a loop where loops are cheap: a primitive of its own, for a b
 loop over values at places of each sample's own would be a loop of scatters, and one scatter is cheaper.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,7 +32,20 @@ def at_places(values: Array, index: Array | np.ndarray) -> Array:
 
 def add_at(count: int, index: Array | np.ndarray, values: Sequence[Array]) -> list[Array]:
     """(rows,) places below `count` and several (rows,) -> (count,) of each: at each place the sum of its rows."""
-    return _add_at.bind(jnp.asarray(index, PLACE), *values, count=count)
+    return _add_at.bind(jnp.asarray(index, PLACE), *values, count=count, apart=False)
+
+
+def put_at(count: int, index: Array | np.ndarray, values: Sequence[Array]) -> list[Array]:
+    """The same where no two rows have one place, but for a place of `count` for what is not asked for: it is left out."""
+    return [v[:-1] for v in _add_at.bind(jnp.asarray(index, PLACE), *values, count=count + 1, apart=True)]
+
+
+def rows_at(count: int, index: Array) -> Array:
+    """(rows,) places, each of one row but for the last place -> (count,): 1 and up the row of each, 0 where there is none; of the
+    last one any."""
+    rows = index.shape[0]
+    (found,) = _in_a_loop(index, jnp.arange(1, rows + 1, dtype=PLACE), count=count)
+    return jnp.minimum(found, PLACE(rows))
 
 
 def add_within(count: int, index: Array | np.ndarray, values: Array) -> Array:
@@ -59,7 +73,7 @@ def summed_at(count: int, index: Array, values: Array) -> Array:
     return jnp.zeros((values.shape[0], count), values.dtype).at[:, index].add(values, mode="promise_in_bounds")
 
 
-def _scattered(index: Array, *values: Array, count: int) -> list[Array]:
+def _scattered(index: Array, *values: Array, count: int, apart: bool = False) -> list[Array]:
     """What is of one row stands side by side, as a scatter wants it: else all is copied first."""
     nothing = jnp.zeros((count, len(values)), values[0].dtype)
     return list(nothing.at[index].add(jnp.stack(values, axis=-1), mode="promise_in_bounds").T)
@@ -80,27 +94,40 @@ def _in_a_loop(index: Array, *values: Array, count: int) -> list[Array]:
     return list(lax.scan(one, nothing, (jnp.arange(index.shape[0], dtype=PLACE), index))[0])
 
 
-def _either(index: Array, *values: Array, count: int) -> list[Array]:
-    return (_in_a_loop if loops_are_cheap() else _scattered)(index, *values, count=count)
+def _from_rows(index: Array, *values: Array, count: int) -> list[Array]:
+    """Each place takes its row, for fewer are written than there are places."""
+    rows = jnp.pad(jnp.stack(values), ((0, 0), (1, 0)))
+    return list(at_places(rows, rows_at(count, index)))
 
 
-def _of_a_batch(given: Sequence[Array], axes: Sequence[Any], *, count: int) -> tuple[list[Array], list[int]]:
+def _either(index: Array, *values: Array, count: int, apart: bool) -> list[Array]:
+    if not loops_are_cheap():
+        return _scattered(index, *values, count=count)
+    return (_from_rows if apart else _in_a_loop)(index, *values, count=count)
+
+
+def _of_a_batch(
+    given: Sequence[Array], axes: Sequence[Any], *, count: int, apart: bool
+) -> tuple[list[Array], list[int]]:
     many = jax.vmap(lambda index, *values: _scattered(index, *values, count=count), in_axes=tuple(axes))
     return many(*given), [0] * (len(given) - 1)
 
 
-def _moved(given: Sequence[Array], changes: Sequence[Any], *, count: int) -> tuple[list[Array], list[Any]]:
+def _moved(
+    given: Sequence[Array], changes: Sequence[Any], *, count: int, apart: bool
+) -> tuple[list[Array], list[Any]]:
     index, *values = given
     # What does not change is not summed.
     moving = [change for change in changes[1:] if not isinstance(change, ad.Zero)]
-    sums, moved = add_at(count, index, values), iter(add_at(count, index, moving) if moving else [])
+    both = functools.partial(_add_at.bind, index, count=count, apart=apart)
+    sums, moved = both(*values), iter(both(*moving) if moving else [])
     return sums, [
         ad.Zero(ShapedArray((count,), value.dtype)) if isinstance(change, ad.Zero) else next(moved)
         for value, change in zip(values, changes[1:], strict=True)
     ]
 
 
-def _transposed(changes: Sequence[Any], index: Array, *values: Any, count: int) -> list[Any]:
+def _transposed(changes: Sequence[Any], index: Array, *values: Any, count: int, apart: bool) -> list[Any]:
     of_each = [
         ad.Zero(value.aval) if isinstance(change, ad.Zero) else change[index]
         for change, value in zip(changes, values, strict=True)
@@ -110,8 +137,8 @@ def _transposed(changes: Sequence[Any], index: Array, *values: Any, count: int) 
 
 _add_at = Primitive("add_at")
 _add_at.multiple_results = True
-_add_at.def_impl(jax.jit(_either, static_argnames=("count",)))
-_add_at.def_abstract_eval(lambda index, *values, count: [ShapedArray((count,), v.dtype) for v in values])
+_add_at.def_impl(jax.jit(_either, static_argnames=("count", "apart")))
+_add_at.def_abstract_eval(lambda index, *values, count, apart: [ShapedArray((count,), v.dtype) for v in values])
 mlir.register_lowering(_add_at, mlir.lower_fun(_either, multiple_results=True))
 ad.primitive_jvps[_add_at] = _moved
 ad.primitive_transposes[_add_at] = _transposed

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import PLACE, add_at, at_places, summed_at
+from diffeed.base.places import PLACE, at_places, put_at, summed_at
 from diffeed.base.products import product
 from diffeed.contact.features import Listed, Own, listed, own
 from diffeed.model.arrays import Guides, Model
@@ -165,8 +165,9 @@ def by_circle(
         asked, slot = np.unique(which, return_inverse=True)
         place = np.full((len(model.circle_names),), len(asked), PLACE)
         place[asked] = np.arange(len(asked))
+        places = len(asked) * n_features
         at = at_places(jnp.asarray(place), kept.circle_index) * n_features + feature
-        found = add_at((len(asked) + 1) * n_features, at, [v for each in values for v in each])
+        found = put_at(places, jnp.minimum(at, PLACE(places)), [v for each in values for v in each])
         # What stands together there and is of one kind is taken at once: of travels, then of spins.
         starts = np.flatnonzero((np.diff(slot, prepend=-2) != 1) | (np.diff(kinds, prepend=-1) != 0))
         runs = [(kinds[k[0]], slice(slot[k[0]], slot[k[-1]] + 1)) for k in np.split(np.arange(len(which)), starts[1:])]
