@@ -232,15 +232,18 @@ def _add_at(primitive: Primitive, size: int, given: list[Value], *, count: int, 
     if apart:
         row = rows_at(count, jnp.asarray(index))
         return [Abreast(_rows(jnp.pad(of_all(v, size), ((1, 0), (0, 0))), row)) for v in values]
-    rows, nothing, first = jnp.stack([of_all(v, size) for v in values], axis=1), len(values), PLACE(0)
+    rows, first = [of_all(v, size) for v in values], PLACE(0)
 
-    def one(sums: Array, at: tuple[Array, Array]) -> tuple[Array, None]:
+    def one(sums: list[Array], at: tuple[list[Array], Array]) -> tuple[list[Array], None]:
         row, place = at
-        so_far = lax.dynamic_slice(sums, (place, first, first), (1, nothing, size))
-        return lax.dynamic_update_slice(sums, so_far + row[None], (place, first, first)), None
+        so_far = [lax.dynamic_slice(v, (place, first), (1, size)) for v in sums]
+        return [
+            lax.dynamic_update_slice(v, old + new[None], (place, first))
+            for v, old, new in zip(sums, so_far, row, strict=True)
+        ], None
 
-    sums = lax.scan(one, jnp.zeros((count, nothing, size), rows.dtype), (rows, jnp.asarray(index)))[0]
-    return [Abreast(sums[:, k]) for k in range(nothing)]
+    sums = lax.scan(one, [jnp.zeros((count, size), v.dtype) for v in rows], (rows, jnp.asarray(index)))[0]
+    return [Abreast(v) for v in sums]
 
 
 def _rows(values: Array, index: Array) -> Array:

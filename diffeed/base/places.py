@@ -113,9 +113,7 @@ def _of_a_batch(
     return many(*given), [0] * (len(given) - 1)
 
 
-def _moved(
-    given: Sequence[Array], changes: Sequence[Any], *, count: int, apart: bool
-) -> tuple[list[Array], list[Any]]:
+def _moved(given: Sequence[Array], changes: Sequence[Any], *, count: int, apart: bool) -> tuple[list[Array], list[Any]]:
     index, *values = given
     # What does not change is not summed.
     moving = [change for change in changes[1:] if not isinstance(change, ad.Zero)]
