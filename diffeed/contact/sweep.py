@@ -53,12 +53,22 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
     raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].own.friction_factor, grip)
-    touch = jax.tree.map(lambda v: near.weight * v, computed_once(raw))
+    touch = jax.tree.map(
+        lambda v: near.weight * v, _once(raw, v_t, grip is not None and kept.surface.stick is not None)
+    )
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
     turning = touch.force * near.lever
     moving = (v_n, v_t, near.u_n, near.u_t)
     return Pairs(touch, near.gap, near.nx, near.ny, tuple(levers), *moving, near.weight, turning)
+
+
+def _once(touch: Touch, v_t: Array, sticks: bool) -> Touch:
+    """The law is computed once for all that reads it. Where nothing sticks, friction is but a product of what was."""
+    if touch.secant is None or sticks:
+        return computed_once(touch)
+    force, stiffness, damping, secant = computed_once((touch.force, touch.stiffness, touch.damping, touch.secant))
+    return Touch(force, stiffness, damping, secant * v_t, secant)
 
 
 def heading(model: Model, at: Pose, pairs: Pairs, listed: Listed | None) -> tuple[Array, Array]:

@@ -74,9 +74,11 @@ def contact_law(
     turn negative: K keeps its positive part so that the step's matrix stays positive. Without a `grip` all sets follow
     the regularised law.
     """
-    depth, slope = ramp(penetration, surface.smoothing)
+    depth, _ = ramp(penetration, surface.smoothing)
     touching = depth > 0
-    per_depth = slope / jnp.where(touching, depth, 1.0)
+    # The slope of the ramp over its depth: 2/d where it is bent, then 1/D.
+    half = jnp.where(penetration < surface.smoothing, 0.5 * penetration, depth)
+    per_depth = 1.0 / jnp.where(touching, half, 1.0)
     if surface.damping is None:
         force = surface.stiffness * power(depth, surface.exponent)
         stiffness, damping = force * surface.exponent * per_depth, None
