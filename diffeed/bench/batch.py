@@ -19,9 +19,9 @@ SIZES = (1, 4, 16, 64, 256, 1024, 4096)
 ON_ACCELERATORS = (16384, 65536)
 """Beyond those: what it takes to keep an accelerator busy."""
 QUICK_SIZES = (1, 4, 16, 64)
-STEPS, IN_ALL, ONE_BY_ONE = 200, 2000, 64_000
-"""Steps of every run, and at least of all together, where samples are computed one by one too: so many that starting them (0.7 ms
-for twenty parts) hardly counts."""
+STEPS, IN_ALL, ABREAST = 200, 2000, 640_000
+"""Steps of every run at least, and of all together, where a run is one kernel too: so many that starting them (0.7 ms for twenty
+parts) hardly counts. But no run is longer than its scene."""
 SPREAD = 0.01
 """Share by which the samples' moduli differ: they are not one sample many times."""
 
@@ -38,17 +38,20 @@ def batch(
     show: Show = lambda done, total, text: None,
 ) -> list[dict[str, Any]]:
     """One row per precision and size: compile and run time, steps of all samples per second, time per sample and step. `steps`
-    of each run are as many as the size of the batch needs unless given, `sizes` those that tell something on the device."""
-    rows, least = [], ONE_BY_ONE if loops_are_cheap() else IN_ALL
+    of each run are as many as the size of the batch needs, at most those of the scene's duration, unless given, `sizes` those
+    that tell something on the device."""
+    rows, in_all = [], ABREAST if loops_are_cheap() else IN_ALL
+    longest = round(float(scene.duration) / dt)
     sizes = sizes or (SIZES if jax.default_backend() == "cpu" else SIZES + ON_ACCELERATORS)
     for name in precisions:
         for size in sizes:
             show(len(rows), len(precisions) * len(sizes), f"{size} samples, {name}")
             row = {"precision": name, "samples": size}
+            chosen = steps or max(STEPS, min(in_all // size, longest))
             try:
                 with precision(name), warnings.catch_warnings():
                     warnings.simplefilter("ignore", SinglePrecision)
-                    row |= _measure(normalise(scene), size, dt, steps or max(STEPS, least // size), fewest)
+                    row |= _measure(normalise(scene), size, dt, chosen, fewest)
             except Exception as error:  # a batch that does not fit into memory is an answer too
                 row["reason"] = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
             rows.append(row)
