@@ -31,6 +31,7 @@ def test_flags_are_added_to_those_given(flags):
     assert flags(tuning.compile_quickly, "--xla_foo=1") == ["--xla_foo=1", *quick]
     assert flags(tuning.compile_for_speed, "") == [quick[0], f"{quick[1]},{whole}", SUMS]
     wide = ["--xla_cpu_prefer_vector_width=512", "--xla_cpu_enable_concurrency_optimized_scheduler=false"]
+    wide += ["--xla_cpu_copy_insertion_use_region_analysis=true"]
     assert flags(tuning.compile_for_many, "") == [quick[0], f"{quick[1]},{whole}", SUMS, *wide]
     assert flags(tuning.compile_for_batches, "") == quick[1:]
     assert flags(tuning.fuse_outputs, "") == [quick[0], quick[1] + ",xla_cpu_use_multi_output_fusion"]
