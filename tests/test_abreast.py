@@ -165,6 +165,14 @@ def test_a_derivative_is_refused(loops_are_cheap):
         jax.grad(lambda rows: for_many(jnp.sum)(rows).sum())(ROWS)
 
 
+@pytest.mark.parametrize(
+    "given", [(jnp.zeros((3, 2)), jnp.zeros((4, 2))), (jnp.zeros((0, 2)),), (jnp.zeros((2, 2)), jnp.zeros(())), ()]
+)
+def test_stacks_of_unlike_length_are_refused(loops_are_cheap, given):
+    with pytest.raises(ValueError, match=r"along its first axis; found (3, 4|0|none)"):
+        for_many(lambda *rows: rows)(*given)
+
+
 def test_a_group_chooses_together(loops_are_cheap):
     """The least of all: not under `vmap`, where each has its own."""
     found = jax.jit(

@@ -35,12 +35,20 @@ second memory (`diffeed bench batch`)."""
 
 def for_many(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function of one sample's arguments as one of stacked ones, (samples, ...): groups of `GROUP` abreast, one group after
-    the other, where a run is one kernel; elsewhere `jax.vmap`. For results without derivatives: asked for one, it raises
-    TypeError. What one of a group gives does not depend on the others but for rounding, unless they ask for more pairs than a
-    search may list: then all of them fail for that reason, and may be run again by `for_each`."""
+    the other, where a run is one kernel (`diffeed.tuning.compile_for_many`); elsewhere `jax.vmap`.
+
+    ```python
+    last = for_many(lambda scene: diffeed.simulate(scene, 0.1).sheets["film"].nodes[-1])
+    jax.jit(last)(diffeed.stack(scenes))
+    ```
+
+    For results without derivatives: asked for one, it raises TypeError. ValueError if the arrays do not hold equally many
+    samples, one at least. What a sample gives does not depend on the others of its group, unless together they ask for more
+    pairs than a search lists (fixed by `crowded` in the scene): then runs fail for that reason, and hold by themselves.
+    """
 
     def of_groups(*given: Any) -> Any:
-        count = jax.tree.leaves(given)[0].shape[0]
+        count = _count(given)
         size = min(GROUP, count)
         groups = -(-count // size)
 
@@ -54,6 +62,15 @@ def for_many(function: Callable[..., Any]) -> Callable[..., Any]:
         return jax.tree.map(apart, lax.map(lambda group: abreast(function)(*group), jax.tree.map(grouped, given)))
 
     return _without_derivatives(of_groups) if loops_are_cheap() else jax.vmap(function)
+
+
+def _count(given: Any) -> int:
+    """How many samples the arrays hold."""
+    lengths = {jnp.shape(v)[:1] for v in jax.tree.leaves(given)}
+    if len(lengths) != 1 or lengths & {(), (0,)}:
+        found = ", ".join("none" if n == () else str(n[0]) for n in sorted(lengths)) or "none"
+        raise ValueError(f"every array must hold as many samples, one at least, along its first axis; found {found}")
+    return lengths.pop()[0]
 
 
 def abreast(function: Callable[..., Any]) -> Callable[..., Any]:
