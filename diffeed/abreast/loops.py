@@ -33,30 +33,38 @@ def in_the_end(differing: list[bool], once_more: Callable[[list[bool]], list[boo
 
 def scan(
     walk: Walk, which: Differing, size: int, given: list[Value], *,
-    jaxpr: Any, num_consts: int, num_carry: int, length: int, reverse: bool, unroll: int, **_: Any,
+    jaxpr: Any, length: int, reverse: bool, unroll: int, **params: Any,
 ) -> list[Value]:  # fmt: skip
     """`lax.scan`."""
+    n_consts, n_carry = _counts(params)
     flags = [differs(v) for v in given]
-    consts, carry, rows = given[:num_consts], given[num_consts:][:num_carry], given[num_consts + num_carry :]
-    carried, every = scan_differing(which, flags, jaxpr=jaxpr, num_consts=num_consts, num_carry=num_carry)
-    of_rows = flags[num_consts + num_carry :]
+    consts, carry, rows = given[:n_consts], given[n_consts:][:n_carry], given[n_consts + n_carry :]
+    carried, every = scan_differing(which, flags, jaxpr=jaxpr, **params)
+    of_rows = flags[n_consts + n_carry :]
 
     def one(so_far: list[Any], row: list[Any]) -> tuple[list[Any], list[Any]]:
         found = walk(jaxpr, size, [*consts, *held(so_far, carried), *held(row, of_rows)])
-        return laid_out(found[:num_carry], carried, size), laid_out(found[num_carry:], every, size)
+        return laid_out(found[:n_carry], carried, size), laid_out(found[n_carry:], every, size)
 
     bare = [v.values if isinstance(v, Abreast) else v for v in rows]
     last, made = lax.scan(one, laid_out(carry, carried, size), bare, length=length, reverse=reverse, unroll=unroll)
     return held(last, carried) + held(made, every)
 
 
-def scan_differing(
-    which: Differing, flags: list[bool], *, jaxpr: Any, num_consts: int, num_carry: int, **_: Any
-) -> tuple[list[bool], list[bool]]:
+def scan_differing(which: Differing, flags: list[bool], *, jaxpr: Any, **params: Any) -> tuple[list[bool], list[bool]]:
     """Of a scan what it carries, and what it makes at every turn."""
-    consts, carry, rows = flags[:num_consts], flags[num_consts:][:num_carry], flags[num_consts + num_carry :]
-    carried = in_the_end(carry, lambda c: which(jaxpr, [*consts, *c, *rows])[:num_carry])
-    return carried, which(jaxpr, [*consts, *carried, *rows])[num_carry:]
+    n_consts, n_carry = _counts(params)
+    consts, carry, rows = flags[:n_consts], flags[n_consts:][:n_carry], flags[n_consts + n_carry :]
+    carried = in_the_end(carry, lambda c: which(jaxpr, [*consts, *c, *rows])[:n_carry])
+    return carried, which(jaxpr, [*consts, *carried, *rows])[n_carry:]
+
+
+def _counts(params: dict[str, Any]) -> tuple[int, int]:
+    """Of a scan how many of its operands are constants, and how many it carries: JAX 0.12 says so by what it was given."""
+    if "ft_in" in params:
+        consts, carry, _ = params["ft_in"].unpack()
+        return len(consts), len(carry)
+    return params["num_consts"], params["num_carry"]
 
 
 def while_loop(
