@@ -13,7 +13,7 @@ import diffeed
 from diffeed import tuning
 from diffeed.base.factor import factor, solve_triangular
 from diffeed.base.one_kernel import loops_are_cheap
-from diffeed.base.places import PLACE, add_at, add_within, at_places, summed_at
+from diffeed.base.places import PLACE, add_at, add_within, at_places, put_at, summed_at
 from diffeed.base.products import product
 from diffeed.base.smallest import smallest
 from diffeed.base.smooth import solve_positive
@@ -92,6 +92,23 @@ def test_what_stands_at_places_is_taken_from_there():
     np.testing.assert_array_equal(taken, [row[:, at] for row, at in zip(np.asarray(rows), index, strict=True)])
 
 
+def test_rows_that_stand_alone_are_put_at_their_places(loops):
+    """Several share the place of what is not asked for, and are left out."""
+    index = np.array([4, 6, 0, 6, 2, 6])
+    values = np.random.default_rng(5).normal(size=(6, 2))
+    wanted = np.zeros((6, 2))
+    wanted[index[index < 6]] = values[index < 6]
+
+    def put(v):
+        return jnp.stack(put_at(6, jnp.asarray(index, PLACE), list(v.T)), axis=1)
+
+    np.testing.assert_array_equal(put(jnp.asarray(values)), wanted)
+    np.testing.assert_array_equal(jax.vmap(put)(jnp.asarray([values, 2.0 * values])), [wanted, 2.0 * wanted])
+    for derivative in (jax.grad, jax.jacfwd):
+        slope = derivative(lambda v: jnp.sum(put(v) ** 3))(jnp.asarray(values))
+        np.testing.assert_allclose(slope, 3.0 * values**2 * (index < 6)[:, None], rtol=1e-15)
+
+
 def test_factors_solve(loops):
     lower = factor(jnp.tril(POSITIVE))
     np.testing.assert_allclose(lower, np.linalg.cholesky(POSITIVE), atol=1e-14)
@@ -118,6 +135,7 @@ def test_places_of_the_smallest(loops, n, count):
     for places in (alone, jax.vmap(lambda v: smallest(v, count))(values)):
         for own, given in zip(np.asarray(places), np.asarray(values), strict=True):
             assert len(set(own)) == count
+            assert places is not alone or loops == "dear" or (np.diff(own) > 0).all(), "in their order"
             np.testing.assert_allclose(np.sort(given[own]), np.sort(given)[:count], rtol=0.01)
 
 
