@@ -75,8 +75,13 @@ class Evaluator:
     def __init__(self, problem: ToleranceProblem, chunk: int) -> None:
         self._rest = rest_of(problem)
         # Where steps are chosen, all abreast would wait for the one that chooses the shortest.
-        equal = problem.study.step_tolerance is None
-        self._spread = Spread(lambda d, rest: one(problem, rest, d)[slice(None) if equal else 0], chunk, abreast=equal)
+        abreast = problem.study.step_tolerance is None
+
+        def function(deviation: Array, rest: Any) -> Any:
+            row, shared_too_much = one(problem, rest, deviation)
+            return (row, shared_too_much) if abreast else row
+
+        self._spread = Spread(function, chunk, abreast)
 
     @property
     def chunk(self) -> int:
