@@ -1,7 +1,7 @@
 """Cosine and sine together: by the library, or by sums and products where loops of these are cheap.
 
-There a library is called for every number by itself; a twelfth of a step went into the headings of twenty bars
-(`diffeed bench batch`). Reduced to the nearest quarter turn in three parts (Cody and Waite), then by the polynomials of fdlibm's
+There a library is called for every number by itself; a sixteenth of a batch went into the headings of twenty bars
+(film feeder: script). Reduced to the nearest quarter turn in three parts (Cody and Waite), then by the polynomials of fdlibm's
 `__kernel_cos` and `__kernel_sin` (double precision) or Cephes' `cosf` and `sinf` (single): at most one and a half units in the
 last place off up to 1e5 rad (single: 100); where an angle is known to no fraction of a turn, of no meaning, but not above 1.
 """

@@ -73,7 +73,7 @@ def summed_at(count: int, index: Array, values: Array) -> Array:
     return jnp.zeros((values.shape[0], count), values.dtype).at[:, index].add(values, mode="promise_in_bounds")
 
 
-def _scattered(index: Array, *values: Array, count: int, apart: bool = False) -> list[Array]:
+def _scattered(index: Array, *values: Array, count: int) -> list[Array]:
     """What is of one row stands side by side, as a scatter wants it: else all is copied first."""
     nothing = jnp.zeros((count, len(values)), values[0].dtype)
     return list(nothing.at[index].add(jnp.stack(values, axis=-1), mode="promise_in_bounds").T)

@@ -53,9 +53,8 @@ def sheet_contacts(model: Model, at: Pose, world: Bodies, kept: Kept, grip: Grip
         along.append(near.nx * row.vy - near.ny * row.vx + row.w * rt)
     v_n, v_t = blend(levers, away) - near.u_n, blend(levers, along) - near.u_t
     raw = contact_law(kept.surface, -near.gap, v_n, v_t, rows[-1].own.friction_factor, grip)
-    touch = jax.tree.map(
-        lambda v: near.weight * v, _once(raw, v_t, grip is not None and kept.surface.stick is not None)
-    )
+    sticks = grip is not None and kept.surface.stick is not None
+    touch = jax.tree.map(lambda v: near.weight * v, _once(raw, v_t, sticks))
     # What turns under a circle moves the foot: dM/dtheta = -F (R + t/2). Its positive part, as all of it is. The skin turns
     # with the headings of its two bars by their shares.
     turning = touch.force * near.lever
