@@ -149,7 +149,8 @@ def test_each_operation_gives_what_vmap_gives(name):
     assert jax.tree.structure(found) == jax.tree.structure(known)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(known), strict=True):
         assert ours.dtype == theirs.dtype
-        np.testing.assert_allclose(np.moveaxis(ours, -1, 0), theirs, rtol=1e-13, atol=1e-15)
+        # Sums of up to 360 numbers in another order.
+        np.testing.assert_allclose(np.moveaxis(ours, -1, 0), theirs, rtol=360 * np.finfo(float).eps, atol=1e-15)
 
 
 @pytest.mark.parametrize("count", [1, GROUP - 3, GROUP, 2 * GROUP + 3])
@@ -248,5 +249,5 @@ def test_a_run_does_not_depend_on_the_group(where, dt, steps):
     )
     assert told.returncode == 0, told.stderr[-2000:]
     apart, differ = map(float, told.stdout.split()[:2])
-    assert apart < 1e-7, "mm"
+    assert apart < 1e-12, "mm, rad: rounding (found: 1e-15), a thousand times enlarged by impacts"
     assert differ > 1e-6, "samples differ"
